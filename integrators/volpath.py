@@ -1,0 +1,262 @@
+"""The volumetric path tracer for media with any transmittance law.
+
+Evaluated anew for each variant by :mod:`nonexp.plugins`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from nonexp.integrators.connection import connect
+from nonexp.integrators.media import scene_media
+from nonexp.integrators.scene_needs import SceneNeeds
+
+
+@dataclass
+class _Path:
+    """What a path carries from event to event; fields that a scene does not need are None."""
+
+    active: Any
+    """still on its way"""
+    depth: Any
+    """number of scattering events so far, straight passes not counted"""
+    o: Any
+    """origin of the ray"""
+    d: Any
+    """direction of the ray"""
+    throughput: Any
+    """product of sampling weights"""
+    radiance: Any
+    """collected so far"""
+    seen: Any
+    """the camera ray met something: alpha of the pixel"""
+    eta: Any
+    """product of relative indices of refraction"""
+    pdf: Any
+    """solid-angle density with which the last event chose its direction"""
+    certain: Any
+    """no connection could have found what this ray finds: emission counts in full"""
+    location: Any
+    """the medium that the ray runs in"""
+    from_particle: Any
+    """the flight began at a collision"""
+    vertex: Any
+    """position of the last event (only where rays pass straight through surfaces)"""
+    fresh: Any
+    """the flight begins here (only where rays pass straight through surfaces)"""
+    tau: Any
+    """optical depth left on this flight (only where rays pass straight through surfaces)"""
+
+
+class NonexpVolpath(mi.SamplingIntegrator):
+    """Plugin ``nonexp_volpath``: volumetric path tracing, whatever the law of transmittance.
+
+    Unidirectional, with next-event estimation and multiple importance sampling at surfaces and
+    at collisions. Parameters, with Mitsuba's meanings and defaults:
+
+    ``max_depth`` (integer, default -1)
+        Longest path: 1 sees emitters only, 2 adds single scattering, ...; -1: no limit.
+    ``rr_depth`` (integer > 0, default 5)
+        Depth beyond which paths end by Russian roulette.
+    ``hide_emitters`` (boolean, default false)
+        Do not show emitters to the camera directly.
+
+    A flight through a medium is drawn from the law that its origin asks for: one law after a
+    collision in this medium, the other after anything else (see :mod:`nonexp.transmittance`).
+    Surfaces with the same medium on both sides that let a ray straight through do not end it.
+    Media of Mitsuba's own are the exponential media they are; heterogeneous ones, and extinction
+    that differs between wavelengths, are refused.
+    """
+
+    def __init__(self, props: mi.Properties) -> None:
+        super().__init__(props)
+        depth, rr_depth = props.get("max_depth", -1), props.get("rr_depth", 5)
+        if not isinstance(depth, int) or depth < -1:
+            raise ValueError(f"max_depth is {depth}: it must be -1 (no limit) or an integer >= 0")
+        if not isinstance(rr_depth, int) or rr_depth <= 0:
+            raise ValueError(f"rr_depth is {rr_depth}: it must be an integer > 0")
+        self.max_depth = depth if depth >= 0 else 2**32 - 1
+        self.rr_depth = rr_depth
+        self.hide_emitters = props.get("hide_emitters", False)
+
+    def sample(
+        self,
+        scene: mi.Scene,
+        sampler: mi.Sampler,
+        ray: mi.RayDifferential3f,
+        medium: Any = None,
+        active: Any = True,
+    ) -> tuple[mi.Spectrum, mi.Bool, list[mi.Float]]:
+        needs = SceneNeeds.of(scene, medium)
+        media = scene_media(needs.media)
+        null = needs.null_surfaces
+        start = media.at(mi.MediumPtr(medium)) if media else None
+        path = _Path(
+            active=mi.Bool(active) & (self.max_depth > 0),
+            depth=mi.UInt32(0),
+            o=mi.Point3f(ray.o),
+            d=mi.Vector3f(ray.d),
+            throughput=mi.Spectrum(1),
+            radiance=mi.Spectrum(0),
+            seen=mi.Bool(scene.environment() is not None and not self.hide_emitters),
+            eta=mi.Float(1),
+            pdf=mi.Float(0),
+            certain=mi.Bool(True),
+            location=start,
+            from_particle=mi.Bool(False) if media else None,
+            vertex=mi.Point3f(ray.o) if null else None,
+            fresh=mi.Bool(True) if null and media else None,
+            tau=mi.Float(0) if null and media else None,
+        )
+        time, wavelengths = ray.time, ray.wavelengths
+        context = mi.BSDFContext()
+
+        def event(sampler: mi.Sampler, s: _Path) -> tuple[mi.Sampler, _Path]:
+            # --------------------------------------------------- flight to the next event
+            ray = mi.Ray3f(s.o, s.d, dr.largest(mi.Float), time, wavelengths)
+            if media:
+                inside = s.active & media.inside(s.location)
+                sigma_t = media.sigma_t(s.location)
+                tau = media.flight(s.location, s.from_particle, sampler, inside)
+                if null:
+                    tau = dr.select(s.fresh, tau, s.tau)
+                t_collision = tau / sigma_t
+                ray.maxt = dr.select(inside, t_collision, ray.maxt)
+            si = scene.ray_intersect(ray, s.active)
+            if self.hide_emitters:
+                si = self._skip_emitters(scene, ray, si, s.active & (s.depth == 0))
+            if media:
+                # A tie of collision and surface is a collision; what never ends sees infinity.
+                collided = inside & (t_collision <= si.t) & (t_collision < dr.inf)
+                on_surface = s.active & ~collided
+                p = dr.select(collided, dr.fma(s.d, t_collision, s.o), si.p)
+            else:
+                collided, on_surface, p = mi.Bool(False), s.active, si.p
+
+            # --------------------------------------------------- emission met by the ray
+            if needs.hittable_emitters:
+                emitter = si.emitter(scene)
+                lit = on_surface & (emitter != None)  # noqa: E711
+                if self.hide_emitters:
+                    lit &= s.depth > 0
+                reference = dr.zeros(mi.Interaction3f)
+                reference.p = s.vertex if null else s.o
+                hit = mi.DirectionSample3f(scene, si, reference)
+                other_pdf = scene.pdf_emitter_direction(reference, hit, lit & ~s.certain)
+                weight = dr.select(s.certain, 1, _power_heuristic(s.pdf, other_pdf))
+                emitted = emitter.eval(si, lit)
+                s.radiance = dr.select(
+                    lit, dr.fma(s.throughput, emitted * weight, s.radiance), s.radiance
+                )
+
+            on_surface &= si.is_valid()
+            bsdf = si.bsdf()
+
+            # --------------------------------------------------- connection to an emitter
+            vertex = mi.Interaction3f(
+                0, time, wavelengths, p, dr.select(collided, 0, si.n) if media else si.n
+            )
+            last = s.depth + 1 >= self.max_depth
+            smooth = on_surface & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
+            wo = mi.Vector3f(0, 0, 1)
+            if needs.emitters:
+
+                def leaving(direction: mi.Vector3f) -> Any:
+                    transition = on_surface & si.is_medium_transition()
+                    return dr.select(transition, media.at(si.target_medium(direction)), s.location)
+
+                connecting = smooth & ~last
+                if media and media.connects:
+                    connecting |= collided & ~last & media.collision_connects(s.location)
+                ds, light = connect(
+                    scene, needs, media, vertex, leaving, collided, sampler.next_2d(), connecting
+                )
+                wo = ds.d
+
+            # --------------------------------------------------- scattering
+            u1, u2 = sampler.next_1d(), sampler.next_2d()
+            value, value_pdf, bs, weight = bsdf.eval_pdf_sample(
+                context, si, si.to_local(wo), u1, u2, on_surface
+            )
+            d, pdf = si.to_world(bs.wo), bs.pdf
+            passed = on_surface & mi.has_flag(bs.sampled_type, mi.BSDFFlags.Null)
+            certain = mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta)
+            if media:
+                mei = dr.zeros(mi.MediumInteraction3f)
+                mei.p, mei.wi, mei.time, mei.wavelengths = p, -s.d, time, wavelengths
+                mei.sh_frame = mi.Frame3f(mei.wi)
+                scatter = media.scatter(s.location, mei, wo, u1, u2, collided & ~last)
+                value = dr.select(collided, scatter.albedo * scatter.value, value)
+                value_pdf = dr.select(collided, scatter.pdf, value_pdf)
+                weight = dr.select(collided, scatter.albedo * scatter.weight, weight)
+                d = dr.select(collided, scatter.wo, d)
+                pdf = dr.select(collided, scatter.wo_pdf, pdf)
+                certain = dr.select(collided, ~media.collision_connects(s.location), certain)
+            if needs.emitters:
+                other_pdf = dr.select(ds.delta, 0, value_pdf)
+                contribution = s.throughput * value * light * _power_heuristic(ds.pdf, other_pdf)
+                s.radiance = dr.select(connecting, s.radiance + contribution, s.radiance)
+
+            # --------------------------------------------------- the next ray
+            s.active = (collided & ~last if media else mi.Bool(False)) | on_surface
+            s.active &= pdf > 0
+            s.throughput = dr.select(s.active, s.throughput * weight, s.throughput)
+            s.eta = dr.select(on_surface, s.eta * bs.eta, s.eta)
+            scattered = s.active & ~passed
+            s.depth = dr.select(scattered, s.depth + 1, s.depth)
+            s.pdf = dr.select(scattered, pdf, s.pdf)
+            s.certain = dr.select(scattered, certain, s.certain)
+            s.seen |= scattered
+            s.o, s.d = vertex.spawn_ray(d).o, d
+            if media:
+                crossing = on_surface & si.is_medium_transition()
+                beyond = dr.select(crossing, media.at(si.target_medium(d)), s.location)
+                if null:
+                    # Straight through a surface inside one medium the flight goes on.
+                    s.fresh = scattered | (beyond != s.location)
+                    s.from_particle = dr.select(s.fresh, collided, s.from_particle)
+                    s.tau = dr.maximum(dr.fma(-sigma_t, si.t, tau), 0)
+                else:
+                    s.from_particle = collided
+                s.location = beyond
+            if null:
+                s.vertex = dr.select(scattered, p, s.vertex)
+
+            # --------------------------------------------------- termination
+            s.active &= dr.any(s.throughput != 0) & (s.depth < self.max_depth)
+            survival = dr.minimum(dr.max(s.throughput) * dr.square(s.eta), 0.95)
+            roulette = scattered & (s.depth > self.rr_depth)
+            s.active &= ~roulette | (sampler.next_1d() < survival)
+            s.throughput = dr.select(roulette, s.throughput * dr.rcp(survival), s.throughput)
+            return sampler, s
+
+        sampler, path = dr.while_loop(
+            (sampler, path), lambda sampler, s: s.active, event, label="nonexp: path"
+        )
+        return path.radiance, path.seen, []
+
+    def _skip_emitters(self, scene: mi.Scene, ray: Any, si: Any, active: Any) -> Any:
+        """What stands behind the area emitters that a camera ray meets first."""
+        hidden = active & si.is_valid() & (si.shape.emitter() != None)  # noqa: E711
+        onward = si.spawn_ray(ray.d)
+        behind = self.skip_area_emitters(scene, onward, True, hidden)
+        skipped = behind.compute_surface_interaction(onward, mi.RayFlags.All, hidden)
+        skipped.t += si.t
+        return dr.select(hidden, skipped, si)
+
+    def to_string(self) -> str:
+        depth = -1 if self.max_depth == 2**32 - 1 else self.max_depth
+        return (
+            f"NonexpVolpath[max_depth={depth}, rr_depth={self.rr_depth}, "
+            f"hide_emitters={self.hide_emitters}]"
+        )
+
+
+def _power_heuristic(a: mi.Float, b: mi.Float) -> mi.Float:
+    """Weight of a sample of density ``a`` that another technique finds with density ``b``."""
+    weight = dr.square(a) / (dr.square(a) + dr.square(b))
+    return dr.select(dr.isfinite(weight), weight, 0)

@@ -1,0 +1,247 @@
+"""The medium plugin: extinction, albedo, phase function and one transmittance model.
+
+Evaluated anew for each variant by :mod:`nonexp.plugins`.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from nonexp.transmittance import Transmittance
+
+_PARAMETERS = (
+    "sigma_t",
+    "scale",
+    "albedo",
+    "sample_emitters",
+    "has_spectral_extinction",
+    "phase",
+    "transmittance",
+)
+
+
+class NonexpHomogeneous(mi.Medium):
+    """Plugin ``nonexp_homogeneous``: a homogeneous medium with any transmittance law.
+
+    Optical depth is ``tau = sigma_t * scale * distance``. Parameters, with the names, defaults and
+    ``mi.traverse`` paths of Mitsuba's ``homogeneous``:
+
+    ``sigma_t`` (float, rgb or spectrum, default 1)
+        Extinction per scene unit, >= 0, the same at all wavelengths.
+    ``scale`` (float, default 1)
+        Factor on the extinction, >= 0.
+    ``albedo`` (float, rgb, spectrum or volume, default 0.75)
+        Probability of scattering at a collision, in [0, 1].
+    ``sample_emitters`` (boolean, default true)
+        Whether collisions connect to emitters directly (next-event estimation).
+    nested phase function (default ``isotropic``)
+        Any phase function but microflakes.
+    nested ``transmittance_<model>`` (default ``transmittance_exponential``)
+        The law of transmittance over optical depth.
+
+    Mitsuba's own integrators see the exponential medium of the same mean extinction. Bad values
+    raise ``ValueError`` when the scene is loaded and at ``params.update()``, which then leaves the
+    medium as it was.
+    """
+
+    def __init__(self, props: mi.Properties) -> None:
+        super().__init__(props)
+        laws = []
+        for name in props.keys():
+            value = props[name] if props.type(name) == mi.Properties.Type.Object else None
+            if hasattr(value, "model"):
+                laws.append(value)
+            elif name not in _PARAMETERS and not isinstance(value, mi.PhaseFunction):
+                raise ValueError(
+                    f"nonexp_homogeneous has no parameter {name!r}: "
+                    f"its parameters are {', '.join(_PARAMETERS)}"
+                )
+        if len(laws) > 1:
+            raise ValueError(
+                f"nonexp_homogeneous holds {len(laws)} transmittances: it must be one at most"
+            )
+        if "transmittance" in props and not laws:
+            raise ValueError(
+                f"transmittance is {props['transmittance']!r}: it must be a nested texture "
+                "of type transmittance_<model>"
+            )
+
+        self.transmittance = laws[0] if laws else mi.load_dict({"type": "transmittance_exponential"})
+        self.scale = mi.Float(_number(props, "scale", 1.0))
+        self.sigma_t = _extinction_volume(props)
+        self.albedo = _volume(props, "albedo", 0.75)
+        self.m_is_homogeneous = True
+        self.m_has_spectral_extinction = props.get("has_spectral_extinction", True)
+        self._check()
+
+    # ------------------------------------------------------------- what an integrator reads
+
+    @property
+    def model(self) -> Transmittance:
+        """The transmittance model."""
+        model: Transmittance = self.transmittance.model
+        return model
+
+    def extinction(self) -> mi.Float:
+        """Extinction per scene unit, ``sigma_t * scale``."""
+        return self.sigma_t.eval(_somewhere())[0] * self.scale
+
+    def eval_albedo(self, mei: mi.MediumInteraction3f, active: Any = True) -> mi.Spectrum:
+        """Albedo at a collision."""
+        return self.albedo.eval(mei, active)
+
+    # ------------------------------------------------------------- Mitsuba's parameters
+
+    def traverse(self, callback: mi.TraversalCallback) -> None:
+        callback.put("scale", self.scale, mi.ParamFlags.Differentiable)
+        callback.put("albedo", self.albedo, mi.ParamFlags.Differentiable)
+        callback.put("sigma_t", self.sigma_t, mi.ParamFlags.Differentiable)
+        callback.put("transmittance", self.transmittance, mi.ParamFlags.Differentiable)
+        super().traverse(callback)
+
+    def parameters_changed(self, keys: list[str]) -> None:
+        self._check()
+
+    def _check(self) -> None:
+        """Check all values; go back to the last good ones if they are refused."""
+        parameters = mi.traverse(self)
+        own = [k for k in parameters.keys() if k.split(".")[0] in ("scale", "sigma_t", "albedo")]
+        try:
+            _check_range("scale", np.array(self.scale), dr.inf)
+            sigma_t = _spectrum_of(self.sigma_t)
+            _check_range("sigma_t", sigma_t, dr.inf)
+            if np.ptp(sigma_t) > 1e-5 * np.max(sigma_t):
+                raise ValueError(
+                    f"sigma_t is {np.array2string(sigma_t.squeeze(), precision=4)}: extinction that "
+                    "differs between wavelengths is not supported yet, use one value"
+                )
+            _check_range("albedo", _values_of(self.albedo), 1.0)
+        except ValueError:
+            for key, value in getattr(self, "_accepted", {}).items():
+                parameters[key] = value
+            if hasattr(self, "_accepted"):
+                parameters.update()
+            raise
+        if mi.has_flag(self.phase_function().flags(), mi.PhaseFunctionFlags.Microflake):
+            raise ValueError("phase is a microflake phase function: these are not supported yet")
+        dr.make_opaque(self.scale)
+        self._accepted = {key: type(parameters[key])(parameters[key]) for key in own}
+
+    # ------------------------------------------------------------- the exponential counterpart
+
+    def intersect_aabb(self, ray: mi.Ray3f) -> tuple[mi.Bool, mi.Float, mi.Float]:
+        return mi.Bool(True), mi.Float(0), mi.Float(dr.inf)
+
+    def get_majorant(self, mei: mi.MediumInteraction3f, active: Any = True) -> mi.Spectrum:
+        _warn_counterpart()
+        return mi.UnpolarizedSpectrum(self.extinction() * self.model.sigma_bar) & active
+
+    def get_scattering_coefficients(
+        self, mei: mi.MediumInteraction3f, active: Any = True
+    ) -> tuple[mi.Spectrum, mi.Spectrum, mi.Spectrum]:
+        sigma_t = self.get_majorant(mei, active)
+        return sigma_t * self.eval_albedo(mei, active), mi.UnpolarizedSpectrum(0), sigma_t
+
+    def to_string(self) -> str:
+        return (
+            "NonexpHomogeneous[\n"
+            f"  sigma_t = {self.sigma_t},\n"
+            f"  scale = {self.scale},\n"
+            f"  albedo = {self.albedo},\n"
+            f"  phase_function = {self.phase_function()},\n"
+            f"  transmittance = {self.transmittance}\n"
+            "]"
+        )
+
+
+# --------------------------------------------------------------------------------------------------
+
+
+def _number(props: mi.Properties, name: str, default: float) -> float:
+    value = props.get(name, default)
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise ValueError(f"{name} is {value!r}: it must be a number")
+    return float(value)
+
+
+def _volume(props: mi.Properties, name: str, default: float) -> mi.Volume:
+    """A nested volume as it is; anything else as the value of a ``constvolume``, as stock does."""
+    if name not in props:
+        return mi.load_dict({"type": "constvolume", "value": default})
+    if props.type(name) == mi.Properties.Type.Object and isinstance(props[name], mi.Volume):
+        return props[name]
+    _check_literal(props, name)
+    return mi.load_dict({"type": "constvolume", "value": props.get_unbounded_texture(name)})
+
+
+def _extinction_volume(props: mi.Properties) -> mi.Volume:
+    volume = _volume(props, "sigma_t", 1.0)
+    if volume.class_name() != "ConstVolume":
+        raise ValueError(f"sigma_t is a {volume.class_name()}: it must be constant in space")
+    # Mitsuba clips an rgb extinction above 1 in spectral variants; a grey one needs no spectrum.
+    if mi.is_spectral and "sigma_t" in props and props.type("sigma_t") == mi.Properties.Type.Color:
+        rgb = np.array(props["sigma_t"]).ravel()
+        if np.ptp(rgb) == 0:
+            return mi.load_dict({"type": "constvolume", "value": float(rgb[0])})
+    return volume
+
+
+def _check_literal(props: mi.Properties, name: str) -> None:
+    """Refuse bad numbers here, in our words, before Mitsuba's spectra see them."""
+    upper = 1.0 if name == "albedo" else dr.inf
+    kind = props.type(name)
+    if kind in (mi.Properties.Type.Color, mi.Properties.Type.Float, mi.Properties.Type.Integer):
+        _check_range(name, np.array(props[name], dtype=float).ravel(), upper)
+    elif kind not in (mi.Properties.Type.Spectrum, mi.Properties.Type.Object):
+        raise ValueError(f"{name} is {props[name]!r}: it must be a number, rgb, spectrum or volume")
+
+
+def _check_range(name: str, values: Any, upper: float) -> None:
+    bad = values[~((values >= 0) & (values <= upper) & np.isfinite(values))]
+    if bad.size:
+        allowed = "a finite number >= 0" if upper == dr.inf else f"within [0, {upper:g}]"
+        raise ValueError(f"{name} is {bad.flat[0]:g}: it must be {allowed}")
+
+
+def _somewhere(wavelengths: Any = None) -> mi.MediumInteraction3f:
+    mei = dr.zeros(mi.MediumInteraction3f)
+    if mi.is_spectral:
+        mei.wavelengths = mi.Color0f() if wavelengths is None else wavelengths
+        if wavelengths is None:
+            mei.wavelengths = mi.Spectrum(550.0)
+    return mei
+
+
+def _spectrum_of(volume: mi.Volume) -> Any:
+    """Values over the channels, or over the visible wavelengths."""
+    wavelengths = None
+    if mi.is_spectral:
+        wavelengths = mi.Spectrum(dr.linspace(mi.Float, 380.0, 780.0, 81))
+    return np.array(dr.detach(volume.eval(_somewhere(wavelengths))))
+
+
+def _values_of(volume: mi.Volume) -> Any:
+    """All values that a volume is made of."""
+    parameters = mi.traverse(volume)
+    if "data" in parameters:
+        return np.array(dr.detach(parameters["data"]))
+    return _spectrum_of(volume)
+
+
+_warned = False
+
+
+def _warn_counterpart() -> None:
+    global _warned
+    if not _warned:
+        _warned = True
+        mi.Log(
+            mi.LogLevel.Warn,
+            "A Mitsuba integrator asked nonexp_homogeneous for its coefficients: if this medium is "
+            "in the rendered scene, it shows its exponential counterpart of the same mean "
+            "extinction. Use the integrator nonexp_volpath for the medium's own law.",
+        )
