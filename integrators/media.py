@@ -205,7 +205,7 @@ class ManyMedia:
         numbers = [sampler.next_1d(active) for _ in range(self._draws)]
 
         def call(entry: _Entry) -> Callable[..., Any]:
-            def flight(from_particle: Any, numbers: list[Any]) -> Any:
+            def flight(from_particle: Any, numbers: list[Any], active: Any) -> Any:
                 p, f = (
                     mi.Float(sample(iter(numbers).__next__))
                     for sample in (entry.model.sample_p, entry.model.sample_f)
@@ -218,7 +218,7 @@ class ManyMedia:
 
     def survival(self, location: Any, from_particle: Any, tau: Any) -> Any:
         def call(entry: _Entry) -> Callable[..., Any]:
-            def survival(from_particle: Any, tau: Any) -> Any:
+            def survival(from_particle: Any, tau: Any, active: Any) -> Any:
                 return dr.select(from_particle, entry.model.pf(tau), entry.model.ff(tau))
 
             return survival
@@ -227,8 +227,8 @@ class ManyMedia:
 
     def scatter(self, location: Any, mei: Any, wo: Any, u1: Any, u2: Any, active: Any) -> Scatter:
         def call(entry: _Entry) -> Callable[..., Any]:
-            def scatter(mei: Any, wo: Any, u1: Any, u2: Any) -> Any:
-                s = _scatter(entry, mei, wo, u1, u2, True)
+            def scatter(mei: Any, wo: Any, u1: Any, u2: Any, active: Any) -> Any:
+                s = _scatter(entry, mei, wo, u1, u2, active)
                 return s.albedo, s.value, s.pdf, s.wo, s.weight, s.wo_pdf
 
             return scatter

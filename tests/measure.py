@@ -1,0 +1,84 @@
+"""Radiance samples of a scene, and the statistical tests on them.
+
+:func:`radiance` calls an integrator's ``sample()`` once for many independent paths, so that one
+kernel yields all passes and every single path can be looked at.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from scipy import stats
+
+PASSES = 64
+"""Independent passes that a block mean is averaged over (at least 32: heavy tails)."""
+
+FALSE_ALARM = 1e-5
+"""Chance that one comparison fails although nothing is wrong. The whole suite makes fewer than
+500 comparisons: all together cry wolf with a probability below 0.5 %."""
+
+
+def radiance(scene: Any, count: int, seed: int, grid: int = 1, integrator: Any = None) -> Any:
+    """``count`` paths through each cell of a ``grid`` x ``grid`` film: (cells, count) means over
+    channels."""
+    integrator = integrator or scene.integrator()
+    sensor = scene.sensors()[0]
+    cells = grid * grid
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(seed, cells * count)
+    cell = dr.arange(mi.UInt32, cells * count) // count
+    corner = mi.Point2f(cell % grid, cell // grid)
+    position = (corner + sampler.next_2d()) / grid
+    ray, weight = sensor.sample_ray(
+        sampler.next_1d(), sampler.next_1d(), position, sampler.next_2d()
+    )
+    light, _, _ = integrator.sample(
+        scene, sampler, mi.RayDifferential3f(ray), sensor.get_medium(), True
+    )
+    light = dr.mean(light * weight)
+    return np.array(light, dtype=np.float64).reshape(cells, count)
+
+
+def passes(scene: Any, count: int, seed: int, grid: int = 1, **kw: Any) -> Any:
+    """Block means of :data:`PASSES` independent passes: (cells, PASSES)."""
+    values = radiance(scene, count * PASSES, seed, grid, **kw)
+    return values.reshape(grid * grid, PASSES, count).mean(axis=2)
+
+
+def assert_same(a: Any, b: Any, within: float) -> None:
+    """Block means agree: Welch's t-test per block and on the whole, Bonferroni-corrected.
+
+    ``within`` states the power: the standard error of the difference of the whole means must be
+    below a sixth of that fraction of the mean, so that a relative bias of ``within`` is found with
+    a probability above 0.9 (critical value 4.4 for FALSE_ALARM; 6 - 4.4 = 1.6 sigma).
+    """
+    whole_a, whole_b = a.mean(axis=0), b.mean(axis=0)
+    mean = 0.5 * (whole_a.mean() + whole_b.mean())
+    error = np.hypot(stats.sem(whole_a), stats.sem(whole_b))
+    assert error <= within * mean / 6, f"too weak: error {error / mean:.2%} of the mean"
+    whole = stats.ttest_ind(whole_a, whole_b, equal_var=False).pvalue
+    varying = (np.ptp(a, axis=1) > 0) | (np.ptp(b, axis=1) > 0)
+    block = stats.ttest_ind(a[varying], b[varying], axis=1, equal_var=False).pvalue
+    tests = len(block) + 1
+    ratio = whole_a.mean() / whole_b.mean()
+    assert whole * tests > FALSE_ALARM, f"means differ: ratio {ratio:.5f}, p = {whole:.2e}"
+    worst = int(np.argmin(block))
+    assert block[worst] * tests > FALSE_ALARM, (
+        f"block {np.flatnonzero(varying)[worst]} differs: "
+        f"{a[varying][worst].mean():.5g} against {b[varying][worst].mean():.5g}, "
+        f"p = {block[worst]:.2e}"
+    )
+
+
+def assert_mean(samples: Any, expected: float, within: float) -> None:
+    """The mean of independent samples is ``expected``; power as in :func:`assert_same`."""
+    error = stats.sem(samples, axis=None)
+    mean = np.mean(samples)
+    assert error <= within * abs(expected) / 6, f"too weak: error {error / expected:.2%}"
+    score = (mean - expected) / error
+    assert abs(score) < stats.norm.isf(FALSE_ALARM / 2), (
+        f"mean {mean:.6g}, expected {expected:.6g}: {score:+.1f} standard errors"
+    )
