@@ -21,7 +21,10 @@ _LN2 = math.log(2.0)
 _ATANH_TERMS = {dr.VarType.Float32: 6, dr.VarType.Float64: 13}
 _EXP_TERMS = {dr.VarType.Float32: 8, dr.VarType.Float64: 15}
 # ln 2 = high + low, where `high` has so few bits that exponent * high is exact.
-_LN2_HIGH = {dr.VarType.Float32: 0.693145751953125, dr.VarType.Float64: 0.6931471803691238}
+_LN2_SPLIT = {
+    dr.VarType.Float32: (0.693145751953125, 1.42860682030941723e-06),
+    dr.VarType.Float64: (0.6931471803691238, 1.90821492927058770e-10),
+}
 _MAX_EXPONENT = {dr.VarType.Float32: 128, dr.VarType.Float64: 1024}
 
 
@@ -47,7 +50,7 @@ def expm1(x: Any) -> Any:
         except OverflowError:
             return math.inf
     value = _expm1_value(dr.detach(x))
-    return _with_derivative(value, (x, lambda _: value + 1))
+    return _with_derivative(value, (x, dr.exp))
 
 
 def scaled_log1p(tau: Any, alpha: Any) -> Any:
@@ -93,9 +96,9 @@ def _log1p_value(x: Any) -> Any:
     kind = dr.type_v(x)
     w = 1 + x
     mantissa, exponent = _frexp(w)  # w = mantissa * 2^exponent, mantissa in [1/2, 1)
-    low = mantissa < math.sqrt(0.5)
-    mantissa = dr.select(low, 2 * mantissa, mantissa)
-    exponent = dr.select(low, exponent - 1, exponent)
+    below = mantissa < math.sqrt(0.5)
+    mantissa = dr.select(below, 2 * mantissa, mantissa)
+    exponent = dr.select(below, exponent - 1, exponent)
 
     # w = 2^exponent (1 + f). With exponent 0 x itself is f: nothing is rounded away.
     direct = exponent == 0
@@ -107,8 +110,8 @@ def _log1p_value(x: Any) -> Any:
     s = f / (2 + f)
     z = s * s
     series = z * _horner(z, [2 / (2 * k + 1) for k in range(1, _ATANH_TERMS[kind])])
-    high = _LN2_HIGH[kind]
-    tail = correction + exponent * (_LN2 - high)
+    high, low = _LN2_SPLIT[kind]
+    tail = correction + exponent * low
     result = exponent * high + (f - (s * (f - series) - tail))
 
     result = dr.select(x == dr.inf, dr.inf, result)
@@ -128,8 +131,8 @@ def _expm1_value(x: Any) -> Any:
     # A wide first interval keeps the subtraction 2^k - 1 away from results near zero.
     k = dr.select(dr.abs(x) < 0.5, 0, dr.round(x * (1 / _LN2)))
     k = dr.clip(k, -limit, limit)
-    high = _LN2_HIGH[kind]
-    r = (x - k * high) - k * (_LN2 - high)
+    high, low = _LN2_SPLIT[kind]
+    r = (x - k * high) - k * low
     r = dr.clip(r, -1, 1)  # x may be infinite: decided below
 
     # e^r - 1 = r + r^2/2 + ...

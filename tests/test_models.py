@@ -1,0 +1,120 @@
+"""The registry of models and the checks of their parameters."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import pkgutil
+import subprocess
+import sys
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import pytest
+from drjit.llvm.ad import Float
+
+import nonexp
+from nonexp import models
+
+
+def test_every_file_is_a_model() -> None:
+    files = sorted(info.name for info in pkgutil.iter_modules(models.__path__))
+    assert models.names() == files
+    assert {"exponential", "linear", "quadratic", "constant", "gamma"} <= set(files)
+
+
+@pytest.mark.parametrize("key", models.names())
+def test_model_is_an_immutable_value_with_a_manual(key: str) -> None:
+    cls = models.registry[key]
+    model = models.create(key)
+    assert cls.__doc__ and cls.__doc__.startswith("T = ")
+    for field in dataclasses.fields(cls):  # type: ignore[arg-type]
+        assert field.metadata["doc"]
+        with pytest.raises(dataclasses.FrozenInstanceError):
+            setattr(model, field.name, 1.0)
+
+
+def test_default_laws_have_unit_mean_extinction() -> None:
+    for key in models.names():
+        assert models.create(key).sigma_bar == (0 if key == "constant" else 1)
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters", "message"),
+    [
+        ("linar", {}, "model is 'linar': it must be one of constant, exponential, gamma"),
+        ("gamma", {"alhpa": 1}, "gamma has no parameter 'alhpa': its parameters are alpha"),
+        ("constant", {"b": 1}, "constant has no parameter 'b': its parameters are none"),
+        ("linear", {"b": 0}, "Linear.b is 0: it must be a finite number > 0"),
+        ("linear", {"b": -1}, "Linear.b is -1: it must be"),
+        ("quadratic", {"b": math.nan}, "Quadratic.b is nan: it must be"),
+        ("gamma", {"alpha": math.inf}, "Gamma.alpha is inf: it must be"),
+        ("gamma", {"alpha": "two"}, "Gamma.alpha is 'two': it must be"),
+        ("gamma", {"alpha": Float(-2)}, "Gamma.alpha is -2: it must be"),
+        ("gamma", {"alpha": Float(1, 2)}, "Gamma.alpha is"),
+    ],
+)
+def test_bad_input_is_named(name: str, parameters: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message.replace(".", r"\.").replace("|", r"\|")):
+        models.create(name, **parameters)
+
+
+def test_a_model_of_ones_own() -> None:
+    @dataclasses.dataclass(frozen=True, eq=False)
+    class Steep(nonexp.Transmittance):
+        """T = exp(-k tau)."""
+
+        k: Any = nonexp.parameter(2.0, above=0, doc="steepness")
+
+        @property
+        def sigma_bar(self) -> Any:
+            return self.k
+
+        def ff(self, tau: Any) -> Any:
+            return dr.exp(-self.k * tau)
+
+        def pf(self, tau: Any) -> Any:
+            return dr.exp(-self.k * tau)
+
+        def pp(self, tau: Any) -> Any:
+            return self.k * dr.exp(-self.k * tau)
+
+        def sample_f(self, draw: nonexp.Draw) -> Any:
+            return -dr.log(1 - draw()) / self.k
+
+        def sample_p(self, draw: nonexp.Draw) -> Any:
+            return self.sample_f(draw)
+
+    models.register(Steep, "steep")
+    try:
+        assert "steep" in models.names()
+        texture = mi.load_dict({"type": "transmittance_steep", "k": 3.0})
+        assert texture.model.sigma_bar[0] == 3
+        mi.set_variant("llvm_ad_mono")
+        assert mi.load_dict({"type": "transmittance_steep"}).model.sigma_bar[0] == 2
+    finally:
+        del models.registry["steep"]
+
+
+def test_what_is_no_model_is_refused() -> None:
+    class Unfinished(nonexp.Transmittance):
+        pass
+
+    with pytest.raises(TypeError, match="does not define ff, pf, pp, sample_f"):
+        models.register(Unfinished, "unfinished")
+    with pytest.raises(TypeError, match="must be a subclass"):
+        models.register(int, "whole")  # type: ignore[type-var]
+
+
+def test_models_need_no_variant() -> None:
+    code = """
+import mitsuba, nonexp, drjit
+assert mitsuba.variant() is None
+model = nonexp.models.create("gamma", alpha=2.0)
+assert abs(model.ff(1.0) - 4 / 9) < 1e-15
+x = drjit.llvm.Float(1.0)
+assert abs(model.ff(x)[0] - 4 / 9) < 1e-7
+assert mitsuba.variant() is None
+"""
+    subprocess.run([sys.executable, "-c", code], check=True)
