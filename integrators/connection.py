@@ -18,6 +18,8 @@ class _Ray:
 
     ray: Any
     """what is left of it"""
+    start: Any
+    """where that begins: the vertex or a point on a surface, the ray's origin stands off it"""
     location: Any
     """the medium it is in"""
     tau: Any
@@ -82,13 +84,16 @@ def _walk(
     where the ray leaves that medium.
     """
 
+    def remaining(s: _Ray) -> Any:
+        return _distance(needs, ds, dr.dot(ds.p - s.start, ds.d))
+
     def body(s: _Ray) -> tuple[_Ray]:
         si = scene.ray_intersect(s.ray, s.active)
         hit = s.active & si.is_valid()
         through = si.bsdf().eval_null_transmission(si, hit)
         s.transmittance = dr.select(hit, s.transmittance * through, s.transmittance)
         if media:
-            length = dr.select(hit, si.t, _distance(needs, ds, s.ray.maxt))
+            length = dr.select(hit, dr.dot(si.p - s.start, ds.d), remaining(s))
             inside = s.active & media.inside(s.location)
             s.tau = dr.select(inside, dr.fma(media.sigma_t(s.location), length, s.tau), s.tau)
             crossing = hit & si.is_medium_transition()
@@ -99,6 +104,7 @@ def _walk(
             s.tau = dr.select(left, 0, s.tau)
             s.from_particle &= ~left
             s.location = beyond
+            s.start = si.p
         s.ray = si.spawn_ray_to(ds.p)
         s.active = hit & dr.any(s.transmittance != 0)
         return (s,)
@@ -106,6 +112,7 @@ def _walk(
     start = location(ds.d) if media else None
     state = _Ray(
         ray=vertex.spawn_ray_to(ds.p),
+        start=mi.Point3f(vertex.p) if media else None,
         location=start,
         tau=mi.Float(0),
         from_particle=mi.Bool(from_particle),

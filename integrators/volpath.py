@@ -44,6 +44,8 @@ class _Path:
     """the medium that the ray runs in"""
     from_particle: Any
     """the flight began at a collision"""
+    gap: Any
+    """distance from the last surface to the ray's origin, which stands off it (media only)"""
     vertex: Any
     """position of the last event (only where rays pass straight through surfaces)"""
     fresh: Any
@@ -108,6 +110,7 @@ class NonexpVolpath(mi.SamplingIntegrator):
             certain=mi.Bool(True),
             location=start,
             from_particle=mi.Bool(False) if media else None,
+            gap=mi.Float(0) if media else None,
             vertex=mi.Point3f(ray.o) if null else None,
             fresh=mi.Bool(True) if null and media else None,
             tau=mi.Float(0) if null and media else None,
@@ -124,8 +127,9 @@ class NonexpVolpath(mi.SamplingIntegrator):
                 tau = media.flight(s.location, s.from_particle, sampler, inside)
                 if null:
                     tau = dr.select(s.fresh, tau, s.tau)
-                t_collision = tau / sigma_t
+                t_collision = tau / sigma_t - s.gap
                 ray.maxt = dr.select(inside, t_collision, ray.maxt)
+                gap = s.gap
             si = scene.ray_intersect(ray, s.active)
             if self.hide_emitters:
                 si = self._skip_emitters(scene, ray, si, s.active & (s.depth == 0))
@@ -213,13 +217,14 @@ class NonexpVolpath(mi.SamplingIntegrator):
             s.seen |= scattered
             s.o, s.d = vertex.spawn_ray(d).o, d
             if media:
+                s.gap = dr.dot(s.o - p, d)
                 crossing = on_surface & si.is_medium_transition()
                 beyond = dr.select(crossing, media.at(si.target_medium(d)), s.location)
                 if null:
                     # Straight through a surface inside one medium the flight goes on.
                     s.fresh = scattered | (beyond != s.location)
                     s.from_particle = dr.select(s.fresh, collided, s.from_particle)
-                    s.tau = dr.maximum(dr.fma(-sigma_t, si.t, tau), 0)
+                    s.tau = dr.maximum(tau - sigma_t * (si.t + gap), 0)
                 else:
                     s.from_particle = collided
                 s.location = beyond

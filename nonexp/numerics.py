@@ -13,7 +13,7 @@ from typing import Any
 
 import drjit as dr
 
-__all__ = ["expm1", "filled", "log1p", "scaled_log1p"]
+__all__ = ["expm1", "filled", "log1p", "scaled_log1p", "select"]
 
 _LN2 = math.log(2.0)
 
@@ -71,9 +71,16 @@ def scaled_log1p(tau: Any, alpha: Any) -> Any:
     )
 
 
+def select(condition: Any, a: Any, b: Any) -> Any:
+    """``a`` where the condition holds, else ``b``; also for the booleans of NumPy scalars."""
+    if dr.is_array_v(condition):
+        return dr.select(condition, a, b)
+    return a if condition else b
+
+
 def filled(like: Any, value: float) -> Any:
     """``value`` in the type and width of ``like`` (NaN where ``like`` is NaN)."""
-    return dr.select(dr.isnan(like), like, value)
+    return select(dr.isnan(like), like, value)
 
 
 # --------------------------------------------------------------------------------------------------

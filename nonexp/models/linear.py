@@ -5,7 +5,7 @@ from typing import Any, ClassVar
 
 import drjit as dr
 
-from ..numerics import filled
+from ..numerics import filled, select
 from ..transmittance import Draw, Transmittance, parameter
 
 
@@ -33,7 +33,7 @@ class Linear(Transmittance):
         return dr.maximum(1 - tau / self.b, 0)
 
     def pf(self, tau: Any) -> Any:
-        return dr.select(tau < self.b, 1.0, filled(tau, 0.0))
+        return select(tau < self.b, 1.0, filled(tau, 0.0))
 
     def pp(self, tau: Any) -> Any:
         return filled(tau, 0.0)

@@ -5,7 +5,7 @@ from typing import Any, ClassVar
 
 import drjit as dr
 
-from ..numerics import filled
+from ..numerics import filled, select
 from ..transmittance import Draw, Transmittance, parameter
 
 
@@ -30,7 +30,7 @@ class Quadratic(Transmittance):
         return dr.maximum(1 - tau / self.b, 0)
 
     def pp(self, tau: Any) -> Any:
-        return dr.select(tau < self.b, 1 / self.b, filled(tau, 0.0))
+        return select(tau < self.b, 1 / self.b, filled(tau, 0.0))
 
     def sample_f(self, draw: Draw) -> Any:
         u = draw()

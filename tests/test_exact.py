@@ -1,0 +1,293 @@
+"""nonexp_volpath against exact results, for every model."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from build import (
+    FURNACE,
+    MODELS,
+    NO_ROULETTE,
+    ball,
+    beam,
+    medium,
+    model_id,
+    orthographic,
+    perspective,
+    scene,
+    stock,
+)
+from measure import FALSE_ALARM, assert_mean, assert_same, passes, radiance
+from scipy import integrate, special, stats
+
+from nonexp import models
+
+every_model = pytest.mark.parametrize("case", MODELS, ids=model_id)
+
+
+def law(case: tuple[str, dict[str, Any]]) -> Any:
+    return models.create(case[0], **case[1])
+
+
+def breaks(model: Any, low: float, high: float) -> list[float] | None:
+    """Where the model's functions jump, for numerical quadrature."""
+    where = [float(tau) for tau, _ in model.atoms]
+    if hasattr(model, "b"):
+        where.append(float(model.b))
+    return [tau for tau in where if low < tau < high] or None
+
+
+# ------------------------------------------------------------------------------- transmittance
+
+
+@every_model
+def test_share_of_light_that_crosses_is_ff(case: Any) -> None:
+    """Counted escapes of 2^18 single rays through the middle of an absorbing ball."""
+    model = law(case)
+    for depth in (0.1, 1.3):
+        inside = medium(*case, sigma_t=depth / 2, albedo=0.0)
+        samples = radiance(scene(sensor=beam(), ball=ball(inside), sky=FURNACE), 2**18, 3)
+        assert set(np.unique(samples)) <= {0.0, 1.0}
+        crossing = int(samples.sum())
+        expected = min(float(model.ff(depth)), 1.0)
+        assert stats.binomtest(crossing, samples.size, expected).pvalue > FALSE_ALARM
+
+
+@every_model
+def test_absorbing_ball_seen_from_afar(case: Any) -> None:
+    """Mean transmittance over the disc: (1/2R^2) times the integral of ff(t) t over [0, 2R]."""
+    model = law(case)
+    radius = 1.7
+    inside = medium(*case, sigma_t=1.0, albedo=0.0)
+    parts = {"ball": ball(inside, radius=radius), "sky": FURNACE}
+    samples = radiance(scene(sensor=orthographic(radius), **parts), 2**18, 4)
+    chords, _ = integrate.quad(
+        lambda t: float(model.ff(t)) * t, 0, 2 * radius, points=breaks(model, 0, 2 * radius)
+    )
+    # The film is a square: 1 - pi/4 of it looks past the ball.
+    expected = 1 - math.pi / 4 + math.pi / 4 * chords / (2 * radius**2)
+    assert_mean(samples, expected, 0.03)
+
+
+@every_model
+@pytest.mark.parametrize("connecting", [True, False], ids=["shadow rays", "flights"])
+def test_single_scattering_in_a_ball(case: Any, connecting: bool, effort: int) -> None:
+    """A ray through the middle, two flights: ff + c/2 int fp(s) int pf(exit(s, mu)) dmu ds.
+
+    With connections pf is evaluated along shadow rays; without, flights from particles escape
+    with that probability.
+    """
+    model = law(case)
+    radius, sigma_t, albedo = 1.0, 1.3, 0.8
+    inside = medium(*case, sigma_t=sigma_t, albedo=albedo, sample_emitters=connecting)
+    integrator = {"type": "nonexp_volpath", "max_depth": 2}
+    parts = {"sensor": beam(), "ball": ball(inside, radius=radius), "sky": FURNACE}
+    got = passes(scene(integrator, **parts), 2**13 * effort, 5)
+
+    nodes, weights = np.polynomial.legendre.leggauss(400)
+
+    def exits(s: float) -> float:
+        r = abs(s - radius)
+        length = -r * nodes + np.sqrt(radius**2 - (r**2) * (1 - nodes**2))
+        return float(np.dot(weights, [float(model.pf(sigma_t * t)) for t in length]) / 2)
+
+    grid = np.linspace(0, 2 * radius, 801)
+    density = [sigma_t * float(model.fp(sigma_t * s)) * exits(s) for s in grid[1:-1]]
+    ends = [sigma_t * float(model.fp(sigma_t * s)) * exits(s) for s in (1e-7, 2 * radius - 1e-7)]
+    scattered = integrate.trapezoid([ends[0], *density, ends[1]], grid)
+    expected = float(model.ff(2 * radius * sigma_t)) + albedo * scattered
+    # 0.3 % for the quadrature of laws that jump.
+    assert_mean(got, expected, 0.02 / effort**0.5)
+
+
+# ------------------------------------------------------------------------------- many collisions
+
+
+@every_model
+@pytest.mark.parametrize("boundary", ["null", "dielectric"])
+def test_white_furnace_without_connections_is_exact(case: Any, boundary: str) -> None:
+    inside = medium(*case, sigma_t=3.0, albedo=1.0, sample_emitters=False)
+    parts = {"sensor": orthographic(1.1), "ball": ball(inside, boundary), "sky": FURNACE}
+    samples = radiance(scene(NO_ROULETTE, **parts), 2**14, 6)
+    # A refraction in and one out round twice each; ten internal reflections add no more.
+    np.testing.assert_allclose(samples, 1, rtol=0 if boundary == "null" else 2e-6)
+
+
+@every_model
+def test_white_furnace_with_connections_and_roulette(case: Any) -> None:
+    sigma_t = 3 / (float(law(case).sigma_bar) or 1)
+    inside = medium(*case, sigma_t=sigma_t, albedo=1.0, phase={"type": "hg", "g": 0.5})
+    parts = {"sensor": orthographic(1.1), "ball": ball(inside), "sky": FURNACE}
+    assert_mean(passes(scene(**parts), 2**10, 7), 1.0, 0.05)
+
+
+def collisions(case: Any, sigma_t: float, count: int, seed: int) -> Any:
+    """Collisions per path in a ball lit from everywhere, read off albedo 1/2: L = 2^-n."""
+    inside = medium(*case, sigma_t=sigma_t, albedo=0.5, sample_emitters=False)
+    parts = {"sensor": orthographic(1.0), "ball": ball(inside), "sky": FURNACE}
+    samples = radiance(scene(NO_ROULETTE, **parts), count, seed)
+    assert np.all(samples > 0)
+    n = -np.log2(samples)
+    np.testing.assert_allclose(n, np.round(n), atol=1e-5)
+    return np.round(n)
+
+
+@every_model
+def test_mean_number_of_collisions(case: Any, effort: int) -> None:
+    """sigma_bar 4V/S per ray that enters: 4R/3 mean extinctions, whatever the law."""
+    model = law(case)
+    if not model.sigma_bar:
+        pytest.skip("nothing collides")
+    sigma_t = 1.5 / float(model.sigma_bar)
+    n = collisions(case, sigma_t, 2**17 * effort, 8)
+    assert_mean(n, math.pi / 4 * 1.5 * 4 / 3, 0.05 / effort**0.5)
+
+
+def test_linear_ball_smaller_than_its_flight_scatters_once_at_most() -> None:
+    """A particle flies b: out of any ball with 2R <= b. Absorbed: (1-c) 4R/3b over the disc."""
+    n = collisions(("linear", {"b": 2.0}), 1.0, 2**18, 9)
+    assert set(np.unique(n)) == {0.0, 1.0}
+    assert_mean(n, math.pi / 4 * 4 / (3 * 2.0), 0.03)
+
+
+@pytest.mark.parametrize("order", [1, 2, 3])
+def test_infinite_medium_collides_by_its_albedo(order: int) -> None:
+    """Paths that end by absorption alone: none escapes a ball of 1000 mean free paths."""
+    inside = medium("gamma", {"alpha": 2.0}, sigma_t=1000.0, albedo=0.1 * order)
+    parts = {
+        "sensor": {**perspective([0, 0, 0], [0, 0, 1]), "medium": {"type": "ref", "id": "fog"}},
+        "fog": {**inside, "id": "fog"},
+        "ball": ball({"type": "ref", "id": "fog"}),
+        "light": {
+            "type": "sphere",
+            "radius": 50.0,
+            "flip_normals": True,
+            "emitter": {"type": "area", "radiance": 1.0},
+        },
+    }
+    samples = radiance(scene(**parts), 2**12, 10)
+    assert np.mean(samples) < 1e-2
+
+
+# ------------------------------------------------------------------------------- ensembles
+
+
+@pytest.mark.parametrize("alpha", [0.7, 2.0])
+def test_gamma_is_the_average_of_exponential_media(alpha: float, effort: int) -> None:
+    """Absorbing ball crossed once: gamma = mean of Mitsuba's exponential renders, extinction drawn
+    from a gamma law (its quadrature nodes, so that nothing is drawn twice)."""
+
+    def build(inside: Any, integrator: str) -> Any:
+        return scene(
+            integrator, sensor=perspective([0, 0, 4], [0, 0, 0]), ball=ball(inside), sky=FURNACE
+        )
+
+    ours = build(medium("gamma", {"alpha": alpha}, sigma_t=0.9, albedo=0.0), "nonexp_volpath")
+    nodes, weights = special.roots_genlaguerre(10, alpha - 1)
+    weights = weights / weights.sum()
+    theirs = build(stock(sigma_t=1.0, albedo=0.0), "volpath")
+    parameters = mi.traverse(theirs)
+    average = 0
+    for i, (node, weight) in enumerate(zip(nodes, weights, strict=True)):
+        parameters["ball.interior_medium.sigma_t.value.value"] = 0.9 * node / alpha
+        parameters.update()
+        average += weight * passes(theirs, 512 * effort, 100 + i, 6)
+    assert_same(passes(ours, 2048 * effort, 11, 6), average, 0.02 / effort**0.5)
+
+
+# ------------------------------------------------------------------------------- reciprocity
+
+
+def plate(where: list[float], towards: list[float], **kw: Any) -> dict[str, Any]:
+    to_world = mi.ScalarTransform4f().look_at(where, towards, [0, 1, 0.1]).scale(0.35)
+    black = {"type": "diffuse", "reflectance": 0.0}
+    return {"type": "rectangle", "to_world": to_world, "bsdf": black, **kw}
+
+
+@every_model
+def test_exchanging_light_and_detector_changes_nothing(case: Any, effort: int) -> None:
+    """One plate stands in the medium, one outside, at other distances and angles."""
+    model = law(case)
+    sigma_t = 1.2 / (float(model.sigma_bar) or 1.0)
+    fog = {"type": "ref", "id": "fog"}
+    inner = {"where": [0.2, -0.5, 0.1], "towards": [0.6, 0.6, 0.5]}
+    outer = {"where": [0.3, 1.6, 0.4], "towards": [-0.3, 0.0, 0.1]}
+    light = {"emitter": {"type": "area", "radiance": 1.0}}
+
+    def meter(**kw: Any) -> dict[str, Any]:
+        return {"sensor": {"type": "irradiancemeter", "film": square_film_1x1(), **kw}}
+
+    def flux(inside: dict[str, Any], outside: dict[str, Any], seed: int) -> Any:
+        built = scene(
+            fog={**medium(*case, sigma_t=sigma_t, albedo=0.9), "id": "fog"},
+            ball=ball(fog),
+            inner=plate(**inner, **inside),
+            outer=plate(**outer, **outside),
+        )
+        return passes(built, 2**13 * effort, seed)
+
+    forward = flux(meter(medium=fog), light, 12)
+    backward = flux(light, meter(), 13)
+    assert_same(forward, backward, 0.15 / effort**0.5)
+
+
+def square_film_1x1() -> dict[str, Any]:
+    return {"type": "hdrfilm", "width": 1, "height": 1, "rfilter": {"type": "box"}}
+
+
+# ------------------------------------------------------------------------------- null surfaces
+
+
+def cut(case: Any, cuts: bool, **kw: Any) -> Any:
+    """A ball of medium, with or without invisible surfaces inside it."""
+    fog = {"type": "ref", "id": "fog"}
+    parts: dict[str, Any] = {
+        "fog": {**medium(*case, **kw), "id": "fog"},
+        "ball": ball(fog),
+        "sensor": orthographic(1.0),
+        "sky": {"type": "constant", "radiance": 0.2},
+        "lamp": {"type": "point", "position": [0.5, 2.0, 1.0], "intensity": 10.0},
+    }
+    if cuts:
+        place = mi.ScalarTransform4f()
+        parts["same medium on both sides"] = {
+            "type": "sphere",
+            "radius": 0.6,
+            "bsdf": {"type": "null"},
+            "interior": fog,
+            "exterior": fog,
+        }
+        parts["no medium named"] = {
+            "type": "rectangle",
+            "to_world": place.translate([0, 0.1, 0]).rotate([1, 0, 0], 70).scale(0.5),
+            "bsdf": {"type": "mask", "opacity": 0.0, "nested": {"type": "diffuse"}},
+        }
+    return parts
+
+
+@every_model
+def test_invisible_surface_inside_a_medium_changes_nothing(case: Any, effort: int) -> None:
+    settings = {"sigma_t": 1.5, "albedo": 0.8}
+    whole = passes(scene(**cut(case, False, **settings)), 512 * effort, 14, 5)
+    parts = passes(scene(**cut(case, True, **settings)), 512 * effort, 15, 5)
+    assert_same(whole, parts, 0.04 / effort**0.5)
+
+
+def test_linear_slab_of_depth_one_is_opaque_however_cut() -> None:
+    """The classical mistake: two halves of ff = 1/2 each let a quarter through."""
+    case = ("linear", {"b": 1.0})
+    for connecting in (True, False):
+        parts = cut(case, True, sigma_t=0.501, albedo=0.0, sample_emitters=connecting)
+        samples = radiance(scene(**{**parts, "sensor": beam()}), 2**16, 16)
+        assert np.all(samples == 0)
+    # The lamp's shadow rays from a floor behind the ball, through all boundaries.
+    parts = cut(case, True, sigma_t=0.501, albedo=0.0)
+    parts["lamp"] = {"type": "point", "position": [0, 0, 3], "intensity": 10.0}
+    parts["floor"] = {"type": "rectangle", "to_world": mi.ScalarTransform4f().translate([0, 0, -2])}
+    parts["sensor"] = perspective([0, 0, -1.5], [0, 0, -2], 1)
+    del parts["sky"]
+    assert np.all(radiance(scene(**parts), 2**12, 17) == 0)

@@ -1,0 +1,208 @@
+"""Rendering in passes: the plan, the seeds, the mean and its standard error."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from nonexp import rendering
+
+
+def scene(
+    width: int = 16, height: int = 12, spp: int = 4, rfilter: str = "box", **film: Any
+) -> mi.Scene:
+    """A grey sphere under a light: noise in every pixel that it covers."""
+    return mi.load_dict(
+        {
+            "type": "scene",
+            "integrator": {"type": "path", "max_depth": 3},
+            "sensor": {
+                "type": "perspective",
+                "to_world": mi.ScalarTransform4f().look_at([0, 0, 3], [0, 0, 0], [0, 1, 0]),
+                "fov": 30,
+                "sampler": {"type": "independent", "sample_count": spp},
+                "film": {
+                    "type": "hdrfilm",
+                    "width": width,
+                    "height": height,
+                    "rfilter": {"type": rfilter},
+                    **film,
+                },
+            },
+            "light": {
+                "type": "sphere",
+                "center": [2, 2, 2],
+                "emitter": {"type": "area", "radiance": {"type": "rgb", "value": [3, 2, 1]}},
+            },
+            "ball": {"type": "sphere"},
+        }
+    )
+
+
+# --------------------------------------------------------------------- plan and seeds
+
+
+@pytest.mark.parametrize("pixels", [1, 12 * 16, 300 * 200, 480 * 360, 1920 * 1080, 16384 * 16384])
+@pytest.mark.parametrize("spp", [1, 7, 8, 20, 64, 100, 1000, 4096, 100_000])
+def test_a_plan_rounds_up_by_less_than_a_pass_and_repeats_to_the_bit(spp: int, pixels: int) -> None:
+    plan = rendering.plan(spp, pixels)
+    assert 0 <= plan.spp - spp < plan.pass_spp
+    assert plan.passes >= min(spp, rendering.MIN_PASSES)
+    assert plan.pass_spp & (plan.pass_spp - 1) == 0
+    samples = pixels * plan.pass_spp
+    assert samples <= rendering.MAX_PASS_SAMPLES or plan.pass_spp == 1
+    # No two of 64 threads share a pixel: blocks of 2^14 samples, or two packets of 8 per pixel.
+    assert (samples > 2**15 * 64 and plan.pass_spp <= 2**14) or plan.pass_spp <= 2 * 8
+
+
+@pytest.mark.parametrize("spp", [0, -1])
+def test_a_plan_for_no_samples_is_refused(spp: int) -> None:
+    with pytest.raises(ValueError, match=f"spp is {spp}: it must be"):
+        rendering.plan(spp, 100)
+
+
+def test_no_two_passes_of_neighbouring_seeds_are_the_same() -> None:
+    seeds = [rendering.pass_seed(seed, k) for seed in range(100) for k in range(64)]
+    assert len(set(seeds)) == len(seeds)
+    assert all(0 <= seed < 2**32 for seed in seeds)
+    assert np.mean(seeds) == pytest.approx(2**31, rel=0.03)  # 4 sigma
+
+
+def test_passes_of_neighbouring_seeds_are_different_images() -> None:
+    target = scene()
+    plan = rendering.Plan(passes=3, pass_spp=4)
+    images = [p.tobytes() for seed in (0, 1, 2) for p in rendering.passes(target, plan, seed)]
+    assert len(set(images)) == 9
+
+
+# --------------------------------------------------------------------- accumulator
+
+
+def test_the_accumulator_has_mean_and_standard_error() -> None:
+    images = np.random.default_rng(1).normal(1e6, 1.0, (11, 3, 4, 3))
+    total = rendering.Accumulator()
+    total.add(images[0])
+    assert np.isnan(total.stderr).all()
+    for image in images[1:]:
+        total.add(image)
+    np.testing.assert_allclose(total.mean, images.mean(axis=0), rtol=1e-14)
+    np.testing.assert_allclose(total.stderr, images.std(axis=0, ddof=1) / np.sqrt(11), rtol=1e-6)
+
+
+# --------------------------------------------------------------------- render
+
+
+@pytest.mark.parametrize(("spp", "size"), [(8, (33, 17)), (200, (33, 17)), (24, (97, 61))])
+def test_the_same_seed_gives_the_same_bits(spp: int, size: tuple[int, int]) -> None:
+    target = scene(*size)
+    first = rendering.render(target, spp=spp, seed=3)
+    for again in (target, target, scene(*size)):
+        image = rendering.render(again, spp=spp, seed=3)
+        np.testing.assert_array_equal(image.mean, first.mean)
+        np.testing.assert_array_equal(image.stderr, first.stderr)
+    assert not np.array_equal(rendering.render(target, spp=spp, seed=4).mean, first.mean)
+
+
+def test_other_filters_repeat_to_rounding() -> None:
+    target = scene(rfilter="gaussian")
+    first, second = (rendering.render(target, spp=32, seed=3).mean for _ in range(2))
+    np.testing.assert_allclose(second, first, atol=1e-5)
+
+
+def test_the_mean_is_the_mean_of_the_passes() -> None:
+    target = scene()
+    plan = rendering.planned(target, 20)
+    seen: list[rendering.Progress] = []
+    image = rendering.render(target, spp=20, seed=5, on_progress=seen.append)
+    np.testing.assert_allclose(
+        image.mean, np.mean(list(rendering.passes(target, plan, 5)), axis=0), rtol=1e-12
+    )
+    assert (image.spp, image.passes, image.seed) == (20, 10, 5)
+    assert [p.done for p in seen] == list(range(1, 11))
+    assert {p.passes for p in seen} == {10}
+    assert 0 < seen[0].seconds <= seen[-1].seconds <= image.seconds
+
+
+def test_stderr_is_the_spread_of_repeated_renders() -> None:
+    """Mean square of stderr against the variance of 100 renders, over all pixels that have noise.
+
+    With 8 passes the ratio has a relative deviation of about sqrt(2/99 + 2/(7*100)) = 15 % per
+    pixel; pooled over more than 30 pixels with noise (channels are correlated), less than 3 %. The
+    bound of 12 % catches a factor 8/7 (dividing by n instead of n - 1).
+    """
+    target = scene()
+    images = [rendering.render(target, spp=8, seed=seed) for seed in range(100)]
+    spread = np.var([image.mean for image in images], axis=0, ddof=1)
+    claimed = np.mean([image.stderr**2 for image in images], axis=0)
+    assert np.count_nonzero(spread[:, :, 0]) > 30
+    assert spread.sum() / claimed.sum() == pytest.approx(1, abs=0.12)
+
+
+def test_the_default_is_the_sampler_of_the_scene_which_stays_as_it_was() -> None:
+    target = scene(spp=24)
+    assert rendering.render(target).spp == 24
+    assert rendering.render(target, spp=9).spp == 9
+    assert rendering.render(target).spp == 24
+
+
+def test_a_sampler_that_rounds_is_counted_as_it_samples() -> None:
+    target = mi.load_dict(
+        {
+            "type": "scene",
+            "integrator": {"type": "direct"},
+            "sensor": {
+                "type": "perspective",
+                "sampler": {"type": "stratified", "sample_count": 16},
+                "film": {"type": "hdrfilm", "width": 2, "height": 2},
+            },
+        }
+    )
+    image = rendering.render(target, spp=64)
+    assert (image.passes, image.spp) == (8, 72)  # 8 samples cannot be stratified, 9 can
+
+
+@pytest.mark.parametrize("pixel_format", ["rgba", "luminance", "luminance_alpha"])
+def test_only_colour_is_kept(pixel_format: str) -> None:
+    mean = rendering.render(scene(pixel_format=pixel_format), spp=8, seed=1).mean
+    rgb = rendering.render(scene(), spp=8, seed=1).mean
+    luminance = rgb @ [0.212671, 0.715160, 0.072169]
+    expected = rgb if pixel_format == "rgba" else np.repeat(luminance[..., None], 3, axis=2)
+    np.testing.assert_allclose(mean, expected, rtol=1e-4, atol=1e-6)
+
+
+def test_channels_of_an_aov_integrator_are_dropped() -> None:
+    target = scene()
+    integrator = mi.load_dict(
+        {"type": "aov", "aovs": "depth:depth", "image": {"type": "path", "max_depth": 3}}
+    )
+    plan = rendering.Plan(1, 4)
+    (plain,) = rendering.passes(target, plan)
+    (image,) = rendering.passes(target, plan, integrator=integrator)
+    assert image.shape == plain.shape
+    np.testing.assert_allclose(image, plain, rtol=1e-5)
+
+
+@pytest.mark.parametrize("variant", ["llvm_ad_mono"], indirect=True)
+def test_mono_images_are_grey(variant: str) -> None:
+    mean = rendering.render(scene(), spp=8).mean
+    assert mean.max() > 0
+    np.testing.assert_array_equal(mean[:, :, 0], mean[:, :, 1])
+    np.testing.assert_array_equal(mean[:, :, 0], mean[:, :, 2])
+
+
+def test_stopping_from_the_callback_leaves_the_scene_usable() -> None:
+    def stop(progress: rendering.Progress) -> None:
+        raise KeyboardInterrupt
+
+    target = scene(spp=24)
+    with pytest.raises(KeyboardInterrupt):
+        rendering.render(target, spp=8, on_progress=stop)
+    assert rendering.render(target).spp == 24
+
+
+def test_a_negative_seed_is_refused() -> None:
+    with pytest.raises(ValueError, match="seed is -1: it must be"):
+        rendering.render(scene(), seed=-1)
