@@ -114,11 +114,7 @@ class NonexpHomogeneous(mi.Medium):
             _check_range("scale", np.array(self.scale), dr.inf)
             sigma_t = _spectrum_of(self.sigma_t)
             _check_range("sigma_t", sigma_t, dr.inf)
-            if np.ptp(sigma_t) > 1e-5 * np.max(sigma_t):
-                raise ValueError(
-                    f"sigma_t is {np.array2string(sigma_t.squeeze(), precision=4)}: extinction that "
-                    "differs between wavelengths is not supported yet, use one value"
-                )
+            _check_grey(sigma_t)
             _check_range("albedo", _values_of(self.albedo), 1.0)
         except ValueError:
             for key, value in getattr(self, "_accepted", {}).items():
@@ -182,11 +178,11 @@ def _extinction_volume(props: mi.Properties) -> mi.Volume:
     volume = _volume(props, "sigma_t", 1.0)
     if volume.class_name() != "ConstVolume":
         raise ValueError(f"sigma_t is a {volume.class_name()}: it must be constant in space")
-    # Mitsuba clips an rgb extinction above 1 in spectral variants; a grey one needs no spectrum.
     if mi.is_spectral and "sigma_t" in props and props.type("sigma_t") == mi.Properties.Type.Color:
+        # Mitsuba would clip an rgb extinction above 1; a grey one needs no spectrum.
         rgb = np.array(props["sigma_t"]).ravel()
-        if np.ptp(rgb) == 0:
-            return mi.load_dict({"type": "constvolume", "value": float(rgb[0])})
+        _check_grey(rgb)
+        return mi.load_dict({"type": "constvolume", "value": float(rgb[0])})
     return volume
 
 
@@ -207,21 +203,26 @@ def _check_range(name: str, values: Any, upper: float) -> None:
         raise ValueError(f"{name} is {bad.flat[0]:g}: it must be {allowed}")
 
 
-def _somewhere(wavelengths: Any = None) -> mi.MediumInteraction3f:
+def _check_grey(sigma_t: Any) -> None:
+    low, high = np.min(sigma_t), np.max(sigma_t)
+    if high - low > 1e-5 * high:
+        raise ValueError(
+            f"sigma_t runs from {low:g} to {high:g} over the wavelengths: extinction that differs "
+            "between them is not supported yet, use one value"
+        )
+
+
+def _somewhere(wavelengths: Any = 550.0) -> mi.MediumInteraction3f:
     mei = dr.zeros(mi.MediumInteraction3f)
     if mi.is_spectral:
-        mei.wavelengths = mi.Color0f() if wavelengths is None else wavelengths
-        if wavelengths is None:
-            mei.wavelengths = mi.Spectrum(550.0)
+        mei.wavelengths = mi.Spectrum(wavelengths)
     return mei
 
 
 def _spectrum_of(volume: mi.Volume) -> Any:
     """Values over the channels, or over the visible wavelengths."""
-    wavelengths = None
-    if mi.is_spectral:
-        wavelengths = mi.Spectrum(dr.linspace(mi.Float, 380.0, 780.0, 81))
-    return np.array(dr.detach(volume.eval(_somewhere(wavelengths))))
+    visible = dr.linspace(mi.Float, 380.0, 780.0, 81)
+    return np.array(dr.detach(volume.eval(_somewhere(visible))))
 
 
 def _values_of(volume: mi.Volume) -> Any:

@@ -43,7 +43,7 @@ class TransmittanceTexture(mi.Texture):
             self._model = models.create(self.key, **self.values)
         except ValueError:
             for name, value in self._accepted.items():
-                self.values[name].assign(value)
+                mi.set_property(self.values[name], value)
             raise
         dr.make_opaque(self.values)  # other values, same kernel
         self._accepted = {name: mi.Float(value) for name, value in self.values.items()}

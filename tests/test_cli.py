@@ -1,0 +1,422 @@
+"""The command line: what it writes, what it says, and that failures leave files alone."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import OpenEXR
+import pytest
+
+from nonexp import __version__, cli, models, output, rendering, scenefile
+
+SCENE = """
+<scene version="3.0.0">
+    <default name="medium" value="gamma"/>
+    <default name="integrator" value="nonexp_volpath"/>
+    <default name="radiance" value="1"/>
+    <default name="spp" value="8"/>
+    <default name="filter" value="box"/>
+    <integrator type="$integrator"><integer name="max_depth" value="6"/></integrator>
+    <sensor type="perspective">
+        <transform name="to_world">
+            <lookat origin="0, 0, 4" target="0, 0, 0" up="0, 1, 0"/>
+        </transform>
+        <sampler type="independent"><integer name="sample_count" value="$spp"/></sampler>
+        <film type="hdrfilm">
+            <integer name="width" value="12"/>
+            <integer name="height" value="10"/>
+            <rfilter type="$filter"/>
+        </film>
+    </sensor>
+    <emitter type="constant"><rgb name="radiance" value="$radiance"/></emitter>
+    <include filename="media/$medium.xml"/>
+    <shape type="sphere"><bsdf type="null"/><ref name="interior" id="medium"/></shape>
+</scene>
+"""
+MEDIUM = """
+<scene version="3.0.0">
+    <default name="sigma_t" value="1"/>
+    <default name="albedo" value="0.8"/>
+    <medium type="nonexp_homogeneous" id="medium">
+        <float name="sigma_t" value="$sigma_t"/>
+        <float name="albedo" value="$albedo"/>
+        {law}
+    </medium>
+</scene>
+"""
+LAWS = {
+    "gamma": '<default name="alpha" value="2"/><texture type="transmittance_gamma" name="t">'
+    '<float name="alpha" value="$alpha"/></texture>',
+    "linear": '<default name="b" value="1"/><texture type="transmittance_linear" name="t">'
+    '<float name="b" value="$b"/></texture>',
+    "typo": '<texture type="transmittance_gama" name="t"/>',
+    "misspelt": '<texture type="transmittance_gamma" name="t"><float name="alpa" value="1"/>'
+    "</texture>",
+}
+STOCK = """
+<scene version="3.0.0">
+    <medium type="homogeneous" id="medium"><float name="albedo" value="0.8"/></medium>
+</scene>
+"""
+
+Run = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with a scene and its media, in which the command runs."""
+    (tmp_path / "scene.xml").write_text(SCENE)
+    (tmp_path / "media").mkdir()
+    for name, law in LAWS.items():
+        before, _, after = law.partition("<texture")
+        text = MEDIUM.format(law="<texture" + after).replace("<medium", before + "<medium")
+        (tmp_path / "media" / f"{name}.xml").write_text(text)
+    (tmp_path / "media" / "stock.xml").write_text(STOCK)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def run(folder: Path, capsys: pytest.CaptureFixture[str]) -> Run:
+    """Run a command line in this process: exit code, stdout, stderr."""
+
+    def command(*arguments: str) -> tuple[int, str, str]:
+        code = cli.main(["render", "--variant", "llvm_ad_rgb", *arguments])
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    return command
+
+
+def read(path: Path) -> tuple[dict[str, object], dict[str, np.ndarray]]:
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        return dict(file.header()), {k: c.pixels.copy() for k, c in file.channels().items()}
+
+
+def subcommand(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run the real command in a process of its own."""
+    root = str(Path(__file__).parents[1])
+    return subprocess.run(
+        [sys.executable, "-m", "nonexp", *arguments],
+        env={**os.environ, "PYTHONPATH": root, **environment},
+        capture_output=True,
+        text=True,
+    )
+
+
+# --------------------------------------------------------------------- what is written
+
+
+def test_the_exr_holds_mean_stderr_and_how_it_was_made(folder: Path) -> None:
+    arguments = ("scene.xml", "-D", "alpha=0.5", "-D", "spp=3", "--spp", "16", "--seed", "7")
+    result = subcommand("render", *arguments, "--variant", "llvm_ad_rgb")
+    assert (result.returncode, result.stderr) == (0, "")
+    assert re.fullmatch(r"scene\.exr: 16 samples per pixel in 8 passes, \d+\.\d s\n", result.stdout)
+    assert sorted(p.name for p in folder.iterdir()) == [
+        "media", "scene.exr", "scene.png", "scene.xml"
+    ]  # fmt: skip
+
+    header, channels = read(folder / "scene.exr")
+    assert set(channels) == {"R", "G", "B", "stderr.R", "stderr.G", "stderr.B"}
+    assert {(c.shape, c.dtype.name) for c in channels.values()} == {((10, 12), "float32")}
+    assert header["nonexp:scene"] == "scene.xml"
+    assert json.loads(str(header["nonexp:parameters"])) == {"alpha": "0.5", "spp": "3"}
+    assert header["nonexp:integrator"] == "nonexp_volpath"
+    assert [header[f"nonexp:{k}"] for k in ("spp", "passes", "seed")] == [16, 8, 7]
+    assert header["nonexp:variant"] == "llvm_ad_rgb"
+    assert header["nonexp:version"] == __version__
+    assert header["nonexp:mitsuba"] and header["nonexp:drjit"] and header["nonexp:llvm"]
+    assert float(str(header["nonexp:seconds"])) > 0
+
+    loaded = scenefile.load(Path("scene.xml"), {"alpha": "0.5"})
+    image = rendering.render(loaded.scene, spp=16, seed=7)
+    for i, name in enumerate("RGB"):
+        np.testing.assert_array_equal(channels[name], image.mean[:, :, i].astype(np.float32))
+        expected = image.stderr[:, :, i].astype(np.float32)
+        np.testing.assert_array_equal(channels[f"stderr.{name}"], expected)
+
+
+def test_the_same_seed_gives_the_same_files(run: Run, folder: Path) -> None:
+    for name, seed in (("a", "1"), ("b", "1"), ("c", "2")):
+        assert run("scene.xml", "-o", f"{name}.exr", "--spp", "40", "--seed", seed)[0] == 0
+    a, b, c = (read(folder / f"{name}.exr")[1] for name in "abc")
+    for channel in a:
+        np.testing.assert_array_equal(a[channel], b[channel])
+    assert not np.array_equal(a["R"], c["R"])
+    assert (folder / "a.png").read_bytes() == (folder / "b.png").read_bytes()
+
+
+def test_the_picture_is_tone_mapped(run: Run, folder: Path) -> None:
+    import mitsuba as mi
+
+    assert run("scene.xml", "-D", "radiance=0.5, 0, 40")[0] == 0
+    picture = np.array(mi.Bitmap(str(folder / "scene.png")))
+    assert picture.shape == (10, 12, 3)
+    assert picture.dtype == np.uint8
+    assert picture[0, 0].tolist() == [188, 0, 255]  # sRGB of 0.5, 0 and more than 1
+
+
+def test_tone_mapping_rises_smoothly_to_white() -> None:
+    x = np.linspace(0, 20, 20001)
+    y = output.tone_map(x)
+    assert (np.diff(y[x < 5]) > 0).all()
+    assert np.abs(np.diff(y[x > 0.5], 2)).max() < 1e-5  # no kink
+    assert 0.999 < y[-1] <= 1
+    assert output.tone_map(np.array([-1.0, np.nan, np.inf])) == pytest.approx([0, 0, 1])
+
+
+@pytest.mark.parametrize(("spp", "told"), [("8", ""), ("100", "--spp 100 becomes 104: 13 passes")])
+def test_rounding_of_spp_is_told(run: Run, spp: str, told: str) -> None:
+    code, out, err = run("scene.xml", "--spp", spp)
+    assert code == 0
+    assert err.startswith(f"nonexp: {told}" if told else "")
+    assert bool(err) == bool(told)
+    assert f"{104 if told else 8} samples per pixel" in out
+
+
+# --------------------------------------------------------------------- size
+
+
+@pytest.mark.parametrize("film", ["<film type='hdrfilm'/>", ""])
+def test_size_works_without_help_from_the_scene(run: Run, folder: Path, film: str) -> None:
+    text = re.sub(r"<film.*</film>", film, SCENE, flags=re.DOTALL)
+    (folder / "scene.xml").write_text(text.replace('name="filter"', 'name="unused"'))
+    assert run("scene.xml", "--size", "9x7")[0] == 0
+    assert read(folder / "scene.exr")[1]["R"].shape == (7, 9)
+
+
+def test_size_changes_the_camera_and_the_crop_window_too(folder: Path) -> None:
+    crop = "".join(
+        f'<integer name="crop_{name}" value="{value}"/>'
+        for name, value in {"width": 4, "height": 5, "offset_x": 8, "offset_y": 5}.items()
+    )
+    path = folder / "scene.xml"
+    path.write_text(SCENE.replace("<rfilter", crop + "<rfilter"))
+    camera = scenefile.load(path, {}, (24, 40)).scene.sensors()[0]
+    assert list(camera.film().size()) == [24, 40]
+    assert list(camera.film().crop_size()) == [8, 20]
+    assert list(camera.film().crop_offset()) == [16, 20]
+
+    import mitsuba as mi
+
+    path.write_text(SCENE)
+    resized = scenefile.load(path, {}, (24, 40)).scene.sensors()[0]
+    path.write_text(SCENE.replace('value="12"', 'value="24"').replace('value="10"', 'value="40"'))
+    written = scenefile.load(path, {}).scene.sensors()[0]
+    rays = [s.sample_ray(0, 0, mi.Point2f(0.9, 0.1), 0)[0].d for s in (resized, written)]
+    np.testing.assert_array_equal(np.array(rays[0]), np.array(rays[1]))
+
+
+# --------------------------------------------------------------------- media and integrators
+
+
+def test_a_stock_integrator_is_warned_about(run: Run) -> None:
+    code, _, err = run("scene.xml", "-D", "integrator=volpath")
+    assert code == 0
+    assert err.startswith("nonexp: warning: integrator volpath shows its exponential counterpart")
+    assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "parameters", [(), ("medium=stock", "integrator=volpath"), ("medium=stock",)]
+)
+def test_other_combinations_are_not(run: Run, parameters: tuple[str, ...]) -> None:
+    arguments = [word for parameter in parameters for word in ("-D", parameter)]
+    assert run("scene.xml", *arguments)[::2] == (0, "")
+
+
+# --------------------------------------------------------------------- errors
+
+ERRORS: dict[str, tuple[list[str], str]] = {
+    "no scene": (["nope.xml"], "'nope.xml' does not exist"),
+    "folder": (["media"], "'media' is a folder"),
+    "not xml": (["text.xml"], 'Parsing of XML file "text.xml" failed: .*line 1'),
+    "not a scene": (["medium.xml"], "holds a homogeneous, not a scene: .* must be <scene>"),
+    "no sensor": (["media/stock.xml"], "has no sensor"),
+    "medium": (
+        ["scene.xml", "-D", "medium=foo"],
+        "medium is 'foo': it must be one of gamma, linear, misspelt, stock, typo .files of media",
+    ),
+    "include": (["include.xml"], r"includes 'gone\.xml', and gone\.xml does not exist"),
+    "parameter": (
+        ["scene.xml", "-D", "sigmat=3"],
+        r"'sigmat', given as '3' \(did you mean 'sigma_t'\?\): .* albedo, alpha, .*, sigma_t, spp",
+    ),
+    "parameter of another model": (
+        ["scene.xml", "-D", "medium=linear", "-D", "alpha=1"],
+        "has no parameter 'alpha', given as '1': .*albedo, b, filter",
+    ),
+    "model": (
+        ["scene.xml", "-D", "medium=typo"],
+        r"typo\.xml, line \d+: texture 'transmittance_gama' is unknown: .*, transmittance_gamma",
+    ),
+    "parameter of a model": (
+        ["scene.xml", "-D", "medium=misspelt"],
+        "no parameter 'alpa'.* its parameters are alpha",
+    ),
+    "integrator": (
+        ["scene.xml", "-D", "integrator=foo"],
+        r"scene\.xml, line \d+: integrator 'foo' is unknown",
+    ),
+    "property": (["property.xml"], "hdrfilm has no parameter 'widht', given as 12"),
+    "number": (
+        ["scene.xml", "-D", "spp=many"],
+        r'could not parse integer value "many" \(from -D spp=many\)',
+    ),
+    "sigma_t": (["scene.xml", "-D", "sigma_t=-1"], "sigma_t is -1: it must be"),
+    "sigma_t nan": (["scene.xml", "-D", "sigma_t=nan"], "sigma_t is nan: it must be"),
+    "albedo": (["scene.xml", "-D", "albedo=1.5"], "albedo is 1.5: it must be"),
+    "albedo below": (["scene.xml", "-D", "albedo=-0.5"], "albedo is -0.5: it must be"),
+    "alpha": (["scene.xml", "-D", "alpha=0"], "alpha is 0: it must be .*> 0"),
+    "b": (["scene.xml", "-D", "medium=linear", "-D", "b=-2"], "b is -2: it must be .*> 0"),
+    "variant": (["scene.xml", "--variant", "foo"], "variant 'foo' is unknown: .*llvm_ad_rgb, "),
+    "scalar": (["scene.xml", "--variant", "scalar_rgb"], "'scalar_rgb' is not supported: .*llvm_"),
+    "output folder": (["scene.xml", "-o", "no/a.exr"], "output is 'no/a.exr': its folder 'no' "),
+    "output name": (["scene.xml", "-o", "a.png"], r"output is 'a.png': .*\.exr"),
+    "output is a folder": (["scene.xml", "-o", "dir.exr"], "output is 'dir.exr': .* is a folder"),
+    "picture is a folder": (["scene.xml", "-o", "pic.exr"], "'pic.png' is a folder"),
+    "unwritable": (["scene.xml", "-o", "/proc/a.exr"], "its folder '/proc' must be writable"),
+    "spp": (["scene.xml", "--spp", "0"], "--spp is '0': it must be a whole number from 1 to"),
+    "spp text": (["scene.xml", "--spp", "1e3"], "--spp is '1e3': it must be a whole number"),
+    "seed": (["scene.xml", "--seed", "-1"], "--seed is '-1': it must be a whole number from 0 to"),
+    "long seed": (["scene.xml", "--seed", "9" * 5000], "--seed is '99*': it must be"),
+    "size": (["scene.xml", "--size", "12"], "--size is '12': it must be WIDTHxHEIGHT"),
+    "size of nothing": (["scene.xml", "--size", "0x5"], "--size is '0x5': it must be"),
+    "definition": (["scene.xml", "-D", "medium"], "-D is 'medium': it must be key=value"),
+    "option": (["scene.xml", "--sp"], "--sp"),
+}
+
+
+@pytest.mark.parametrize("case", ERRORS)
+def test_errors_are_one_sentence_and_leave_files_alone(run: Run, folder: Path, case: str) -> None:
+    (folder / "text.xml").write_text("hello")
+    (folder / "medium.xml").write_text('<medium version="3.0.0" type="homogeneous"/>')
+    (folder / "include.xml").write_text(
+        '<scene version="3.0.0"><include filename="gone.xml"/></scene>'
+    )
+    (folder / "property.xml").write_text(SCENE.replace('name="width"', 'name="widht"'))
+    for name in ("dir.exr", "pic.png"):
+        (folder / name).mkdir()
+    for name in ("scene.exr", "scene.png"):
+        (folder / name).write_text("old")
+    before = sorted(folder.rglob("*"))
+
+    arguments, message = ERRORS[case]
+    code, out, err = run(*arguments)
+    assert (code, out) == (2, "")
+    assert re.match(f"nonexp: error: .*{message}", err)
+    assert err.count("\n") == 1
+    assert "Traceback" not in err and ".cpp" not in err
+    assert sorted(folder.rglob("*")) == before
+    assert (folder / "scene.exr").read_text() == (folder / "scene.png").read_text() == "old"
+
+
+@pytest.mark.parametrize("stage", ["_write_exr", "_write_png"])
+def test_a_failure_while_writing_leaves_the_old_files(
+    run: Run, folder: Path, monkeypatch: pytest.MonkeyPatch, stage: str
+) -> None:
+    def fail(path: Path, *_: object) -> None:
+        path.write_text("half")
+        raise OSError("No space left on device")
+
+    for name in ("scene.exr", "scene.png"):
+        (folder / name).write_text("old")
+    before = sorted(folder.iterdir())
+    monkeypatch.setattr(output, stage, fail)
+    assert run("scene.xml") == (2, "", "nonexp: error: No space left on device\n")
+    assert sorted(folder.iterdir()) == before
+    assert (folder / "scene.exr").read_text() == (folder / "scene.png").read_text() == "old"
+
+
+def test_a_failure_while_rendering_is_one_sentence(
+    run: Run, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise RuntimeError("[integrator.cpp:12] out of\n  memory")
+
+    monkeypatch.setattr(rendering, "render", fail)
+    assert run("scene.xml") == (2, "", "nonexp: error: out of memory\n")
+    assert not (folder / "scene.exr").exists()
+
+
+def test_the_output_is_checked_before_the_scene_is_loaded(
+    run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(scenefile, "load", lambda *_: pytest.fail("the scene was loaded"))
+    assert run("scene.xml", "-o", "no/a.exr")[0] == 2
+
+
+def test_ctrl_c_writes_nothing(run: Run, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*arguments: Any, **keywords: Any) -> Iterator[Any]:
+        for image in passes(*arguments, **keywords):
+            yield image
+            os.kill(os.getpid(), signal.SIGINT)
+
+    passes = rendering.passes
+    monkeypatch.setattr(rendering, "passes", interrupted)
+    (folder / "scene.exr").write_text("old")
+    assert run("scene.xml") == (130, "", "nonexp: interrupted, nothing written\n")
+    assert sorted(p.name for p in folder.iterdir()) == ["media", "scene.exr", "scene.xml"]
+    assert (folder / "scene.exr").read_text() == "old"
+
+
+@pytest.mark.parametrize("command", ["render", "doctor"])
+def test_a_missing_llvm_is_told_with_what_to_install(folder: Path, command: str) -> None:
+    arguments = ["scene.xml", "--variant", "llvm_ad_rgb"] if command == "render" else []
+    result = subcommand(command, *arguments, DRJIT_LIBLLVM_PATH="/nowhere/libLLVM.so")
+    said = result.stderr if command == "render" else result.stdout
+    (line,) = (line for line in said.splitlines() if "DRJIT_LIBLLVM_PATH is" in line)
+    assert "'/nowhere/libLLVM.so', which does not exist: install LLVM 17 or newer" in line
+    assert "Traceback" not in result.stderr
+    assert result.returncode == 2 or "cuda" in result.stdout
+
+
+# --------------------------------------------------------------------- other commands
+
+
+def test_models_lists_every_model(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["models"]) == 0
+    out = capsys.readouterr().out
+    assert "\x1b" not in out
+    lines = out.splitlines()
+    for name in models.names():
+        (line,) = (line for line in lines if line.split()[0] == name)
+        law = (models.registry[name].__doc__ or "").splitlines()[0]
+        assert law in line
+        assert line.split()[-1] == f"{models.create(name).sigma_bar:.6g}"
+    (gamma,) = (line for line in lines if line.startswith("gamma"))
+    assert "alpha = 2 (> 0)" in gamma
+
+
+def test_doctor_says_that_this_machine_can_render(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["doctor"]) == 0
+    out = capsys.readouterr().out
+    assert "llvm_ad_rgb" in out
+    assert re.search(r"^LLVM +\d\d\.\d+\.\d+ \(/.*libLLVM.*\)$", out, re.MULTILINE)
+    assert "This machine can render" in out
+
+
+def test_help_and_version() -> None:
+    shown = subcommand("--version")
+    assert (shown.returncode, shown.stdout) == (0, f"nonexp {__version__}\n")
+    shown = subcommand("--help")
+    assert shown.returncode == 0
+    for command in ("render", "models", "doctor"):
+        assert command in shown.stdout
+
+
+@pytest.mark.parametrize("arguments", [[], ["rendre"], ["render"]])
+def test_bad_usage_is_one_line(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(arguments) == 2
+    err = capsys.readouterr().err
+    assert err.startswith("nonexp: error: ")
+    assert err.count("\n") == 1

@@ -1,0 +1,89 @@
+"""Plugins are known in every variant, whatever the order of imports; others refuse clearly."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from build import FURNACE, ball, medium, perspective, scene
+
+from nonexp import plugins
+
+ROOT = Path(__file__).resolve().parent.parent
+UNSUPPORTED = [v for v in mi.variants() if not plugins.supported(v) and "cuda" not in v]
+
+MAKE = """
+mi.load_dict({"type": "nonexp_volpath"})
+mi.load_dict({"type": "nonexp_homogeneous"})
+mi.load_dict({"type": "transmittance_gamma", "alpha": 1.5})
+"""
+
+
+def run(code: str, cwd: Path = ROOT) -> None:
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=cwd, timeout=120)
+
+
+def test_import_before_the_variant_is_set() -> None:
+    run(f"import nonexp\nimport mitsuba as mi\nmi.set_variant('llvm_ad_rgb'){MAKE}")
+
+
+def test_import_after_the_variant_is_set(tmp_path: Path) -> None:
+    run(f"import mitsuba as mi\nmi.set_variant('llvm_ad_mono')\nimport nonexp{MAKE}", tmp_path)
+
+
+def test_entry_point_module_registers_and_bears_reloading() -> None:
+    # Mitsuba 3.10 loads it by entry point; 3.9, which runs here, has no such mechanism.
+    run(
+        "import mitsuba as mi, importlib\nmi.set_variant('llvm_ad_rgb')\n"
+        f"import nonexp._mitsuba_entry as e{MAKE}\n"
+        f"mi.set_variant('llvm_ad_mono'); importlib.reload(e){MAKE}"
+    )
+
+
+@pytest.mark.parametrize("variant", UNSUPPORTED)
+def test_unsupported_variants_say_so_in_one_sentence(variant: str) -> None:
+    mi.set_variant(variant)
+    for plugin in ("nonexp_volpath", "nonexp_homogeneous", "transmittance_gamma"):
+        with pytest.raises(RuntimeError) as error:
+            mi.load_dict({"type": plugin})
+        last = str(error.value).strip().splitlines()[-1]
+        assert f"{plugin} does not work in variant {variant}" in last
+        assert "llvm_ad_rgb" in last
+
+
+def picture(seed: int = 1, alpha: float = 2.0) -> tuple[object, np.ndarray]:
+    built = scene(
+        sensor=perspective([0, 0, 4], [0, 0, 0]),
+        ball=ball(medium("gamma", {"alpha": alpha}, sigma_t=1.0, albedo=0.8)),
+        sky=FURNACE,
+    )
+    return built, np.array(mi.render(built, spp=16, seed=seed))
+
+
+def test_switching_variants_back_and_forth() -> None:
+    built, first = picture()
+    mi.set_variant("llvm_ad_mono")
+    _, grey = picture()
+    assert grey.shape[2] == 1
+    mi.set_variant("llvm_ad_spectral")
+    _, spectral = picture()
+    mi.set_variant("llvm_ad_rgb")
+    # The scene of old, and one that is loaded anew.
+    np.testing.assert_array_equal(np.array(mi.render(built, spp=16, seed=1)), first)
+    np.testing.assert_array_equal(picture()[1], first)
+    assert grey.mean() == pytest.approx(first.mean(), rel=0.05)
+    assert spectral.mean() == pytest.approx(first.mean(), rel=0.1)
+
+
+def test_scenes_loaded_together_do_not_disturb_each_other() -> None:
+    one, alone = picture(alpha=0.5)
+    two, other = picture(alpha=50.0)
+    three, _ = picture(alpha=3.0)
+    del three
+    np.testing.assert_array_equal(np.array(mi.render(one, spp=16, seed=1)), alone)
+    np.testing.assert_array_equal(np.array(mi.render(two, spp=16, seed=1)), other)
+    assert abs(alone.mean() - other.mean()) > 0.001
