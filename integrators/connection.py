@@ -8,8 +8,8 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from nonexp.integrators.media import ManyMedia, NoMedium, OneMedium
-from nonexp.integrators.scene_needs import SceneNeeds
+from .media import Media
+from .scene_needs import SceneNeeds
 
 
 @dataclass
@@ -35,7 +35,7 @@ class _Ray:
 def connect(
     scene: mi.Scene,
     needs: SceneNeeds,
-    media: NoMedium | OneMedium | ManyMedia,
+    media: Media | None,
     vertex: mi.Interaction3f,
     location: Any,
     from_particle: Any,
@@ -71,7 +71,7 @@ def _distance(needs: SceneNeeds, ds: mi.DirectionSample3f, distance: Any) -> Any
 def _walk(
     scene: mi.Scene,
     needs: SceneNeeds,
-    media: NoMedium | OneMedium | ManyMedia,
+    media: Media | None,
     vertex: mi.Interaction3f,
     ds: mi.DirectionSample3f,
     location: Any,
@@ -96,9 +96,8 @@ def _walk(
             length = dr.select(hit, dr.dot(si.p - s.start, ds.d), remaining(s))
             inside = s.active & media.inside(s.location)
             s.tau = dr.select(inside, dr.fma(media.sigma_t(s.location), length, s.tau), s.tau)
-            crossing = hit & si.is_medium_transition()
-            beyond = dr.select(crossing, media.at(si.target_medium(s.ray.d)), s.location)
-            left = crossing & (beyond != s.location)
+            beyond = media.behind(si, hit, s.location, s.ray.d)
+            left = beyond != s.location
             survival = media.survival(s.location, s.from_particle, s.tau)
             s.transmittance = dr.select(left & inside, s.transmittance * survival, s.transmittance)
             s.tau = dr.select(left, 0, s.tau)

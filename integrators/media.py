@@ -7,6 +7,7 @@ and pass back.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -48,11 +49,11 @@ class Scatter:
     wo_pdf: Any
 
 
-def scene_media(pointers: Sequence[Any]) -> NoMedium | OneMedium | ManyMedia:
-    """The media among ``pointers`` in which anything can collide."""
+def scene_media(pointers: Sequence[Any]) -> Media | None:
+    """The media among ``pointers`` in which anything can collide; None if there is none."""
     entries = [entry for entry in map(_entry, pointers) if entry is not None]
     if not entries:
-        return NoMedium()
+        return None
     if len(entries) == 1:
         return OneMedium(entries[0], alone=len(pointers) == 1)
     return ManyMedia(entries)
@@ -112,17 +113,47 @@ def _scatter(entry: _Entry, mei: Any, wo: Any, u1: Any, u2: Any, active: Any) ->
 # --------------------------------------------------------------------------------------------------
 
 
-class NoMedium:
-    """A scene in which nothing collides."""
+class Media(ABC):
+    """The media in which something can collide."""
 
-    def __bool__(self) -> bool:
-        return False
+    connects: bool
+    """Collisions in some medium use next-event estimation."""
 
-    def at(self, pointer: Any) -> None:
-        return None
+    @abstractmethod
+    def at(self, pointer: Any) -> Any:
+        """Location that a ``MediumPtr`` stands for."""
+
+    def behind(self, si: Any, active: Any, location: Any, direction: Any) -> Any:
+        """Location of a ray that leaves a surface in ``direction``, having come in ``location``."""
+        crossing = active & si.is_medium_transition()
+        return dr.select(crossing, self.at(si.target_medium(direction)), location)
+
+    @abstractmethod
+    def inside(self, location: Any) -> Any:
+        """Mask of the locations that lie in a medium."""
+
+    @abstractmethod
+    def collision_connects(self, location: Any) -> Any:
+        """Mask: collisions here use next-event estimation."""
+
+    @abstractmethod
+    def sigma_t(self, location: Any) -> Any:
+        """Extinction per scene unit (undefined outside media)."""
+
+    @abstractmethod
+    def flight(self, location: Any, from_particle: Any, sampler: Any, active: Any) -> Any:
+        """Optical depth of the next collision."""
+
+    @abstractmethod
+    def survival(self, location: Any, from_particle: Any, tau: Any) -> Any:
+        """Transmittance over ``tau``: pf from a particle, ff from a fixed point."""
+
+    @abstractmethod
+    def scatter(self, location: Any, mei: Any, wo: Any, u1: Any, u2: Any, active: Any) -> Scatter:
+        """Phase function towards ``wo`` and a sampled direction, at collisions ``mei``."""
 
 
-class OneMedium:
+class OneMedium(Media):
     """A scene with a single medium: its location is a mask, and its functions are called as is."""
 
     def __init__(self, entry: _Entry, alone: bool) -> None:
@@ -131,40 +162,33 @@ class OneMedium:
         self.connects = entry.connects
 
     def at(self, pointer: Any) -> Any:
-        """Location that a ``MediumPtr`` stands for."""
         if self._alone:
             return pointer != None  # noqa: E711
         return pointer == mi.MediumPtr(self._entry.pointer)
 
     def inside(self, location: Any) -> Any:
-        """Mask of the locations that lie in a medium."""
         return location
 
     def collision_connects(self, location: Any) -> Any:
-        """Mask: collisions here use next-event estimation."""
         return mi.Bool(self.connects)
 
     def sigma_t(self, location: Any) -> Any:
-        """Extinction per scene unit (undefined outside media)."""
         return self._entry.sigma_t
 
     def flight(self, location: Any, from_particle: Any, sampler: Any, active: Any) -> Any:
-        """Optical depth of the next collision."""
         draw = _shared_draws(lambda: sampler.next_1d(active))
         model = self._entry.model
         return dr.select(from_particle, model.sample_p(draw()), model.sample_f(draw()))
 
     def survival(self, location: Any, from_particle: Any, tau: Any) -> Any:
-        """Transmittance over ``tau``: pf from a particle, ff from a fixed point."""
         model = self._entry.model
         return dr.select(from_particle, model.pf(tau), model.ff(tau))
 
     def scatter(self, location: Any, mei: Any, wo: Any, u1: Any, u2: Any, active: Any) -> Scatter:
-        """Phase function towards ``wo`` and a sampled direction, at collisions ``mei``."""
         return _scatter(self._entry, mei, wo, u1, u2, active)
 
 
-class ManyMedia:
+class ManyMedia(Media):
     """A scene with several media: a location is 0 or one more than an index into ``entries``.
 
     Only the media of this scene are traced, each behind one indirect call.
@@ -235,9 +259,7 @@ class ManyMedia:
 
         return Scatter(*self._switch(location, call, active, mei, wo, u1, u2))
 
-    def _switch(
-        self, location: Any, call: Callable[[_Entry], Any], active: Any, *args: Any
-    ) -> Any:
+    def _switch(self, location: Any, call: Callable[[_Entry], Any], active: Any, *args: Any) -> Any:
         targets = [call(entry) for entry in self._entries]
         return dr.switch(location - 1, targets, *args, active=(location != 0) & active)
 

@@ -6,14 +6,15 @@ Evaluated anew for each variant by :mod:`nonexp.plugins`.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 
-from nonexp.integrators.connection import connect
-from nonexp.integrators.media import scene_media
-from nonexp.integrators.scene_needs import SceneNeeds
+from .connection import connect
+from .media import scene_media
+from .scene_needs import SceneNeeds
 
 
 @dataclass
@@ -159,6 +160,7 @@ class NonexpVolpath(mi.SamplingIntegrator):
 
             on_surface &= si.is_valid()
             bsdf = si.bsdf()
+            behind = partial(media.behind, si, on_surface, s.location) if media else None
 
             # --------------------------------------------------- connection to an emitter
             vertex = mi.Interaction3f(
@@ -168,16 +170,11 @@ class NonexpVolpath(mi.SamplingIntegrator):
             smooth = on_surface & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
             wo = mi.Vector3f(0, 0, 1)
             if needs.emitters:
-
-                def leaving(direction: mi.Vector3f) -> Any:
-                    transition = on_surface & si.is_medium_transition()
-                    return dr.select(transition, media.at(si.target_medium(direction)), s.location)
-
                 connecting = smooth & ~last
                 if media and media.connects:
                     connecting |= collided & ~last & media.collision_connects(s.location)
                 ds, light = connect(
-                    scene, needs, media, vertex, leaving, collided, sampler.next_2d(), connecting
+                    scene, needs, media, vertex, behind, collided, sampler.next_2d(), connecting
                 )
                 wo = ds.d
 
@@ -218,8 +215,7 @@ class NonexpVolpath(mi.SamplingIntegrator):
             s.o, s.d = vertex.spawn_ray(d).o, d
             if media:
                 s.gap = dr.dot(s.o - p, d)
-                crossing = on_surface & si.is_medium_transition()
-                beyond = dr.select(crossing, media.at(si.target_medium(d)), s.location)
+                beyond = media.behind(si, on_surface, s.location, d)
                 if null:
                     # Straight through a surface inside one medium the flight goes on.
                     s.fresh = scattered | (beyond != s.location)

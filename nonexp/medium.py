@@ -52,7 +52,7 @@ class NonexpHomogeneous(mi.Medium):
         super().__init__(props)
         laws = []
         for name in props.keys():
-            value = props[name] if props.type(name) == mi.Properties.Type.Object else None
+            value: Any = props[name] if props.type(name) == mi.Properties.Type.Object else None
             if hasattr(value, "model"):
                 laws.append(value)
             elif name not in _PARAMETERS and not isinstance(value, mi.PhaseFunction):
@@ -70,7 +70,8 @@ class NonexpHomogeneous(mi.Medium):
                 "of type transmittance_<model>"
             )
 
-        self.transmittance = laws[0] if laws else mi.load_dict({"type": "transmittance_exponential"})
+        exponential = {"type": "transmittance_exponential"}
+        self.transmittance = laws[0] if laws else mi.load_dict(exponential)
         self.scale = mi.Float(_number(props, "scale", 1.0))
         self.sigma_t = _extinction_volume(props)
         self.albedo = _volume(props, "albedo", 0.75)

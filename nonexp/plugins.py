@@ -9,6 +9,7 @@ from __future__ import annotations
 import importlib
 import sys
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import mitsuba as mi
@@ -67,7 +68,7 @@ def register() -> None:
     else:
         _textures[variant] = lambda key, props: _refuse(f"transmittance_{key}", variant, reason)
         for name, (kind, _, _) in _PLUGINS.items():
-            _register(kind, name, lambda props, name=name: _refuse(name, variant, reason))
+            _register(kind, name, partial(_refuse, name, variant, reason))
     for key in models.names():
         _register_texture(variant, key)
 
@@ -97,6 +98,6 @@ def _load(module: str, name: str) -> Any:
     return getattr(loaded, name)
 
 
-def _refuse(name: str, variant: str, reason: str) -> None:
+def _refuse(name: str, variant: str, reason: str, _props: Any = None) -> None:
     usable = ", ".join(v for v in mi.variants() if supported(v))
     raise RuntimeError(f"{name} does not work in variant {variant} ({reason}): use {usable}")

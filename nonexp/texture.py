@@ -6,7 +6,6 @@ Evaluated anew for each variant by :mod:`nonexp.plugins`.
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -30,6 +29,7 @@ class TransmittanceTexture(mi.Texture):
         given = {name: props[name] for name in props.keys() if name != "id"}
         checked = models.create(key, **given)
         self.values = {name: mi.Float(getattr(checked, name)) for name in fields}
+        self._accepted: dict[str, mi.Float] = {}
         self._accept()
 
     @property

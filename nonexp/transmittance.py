@@ -105,5 +105,6 @@ def parameter(default: float, *, above: float = -dr.inf, doc: str = "") -> Any:
         if not (above < number < dr.inf):
             raise ValueError(f"{name} is {number:g}: it must be {allowed}")
 
-    metadata = {"check": check, "range": allowed.removeprefix("a finite number").strip(), "doc": doc}
+    limits = "" if above == -dr.inf else f"> {above:g}"
+    metadata = {"check": check, "range": limits, "doc": doc}
     return dataclasses.field(default=default, metadata=metadata)

@@ -41,7 +41,8 @@ def look_at(origin: list[float], target: list[float]) -> Any:
 
 def orthographic(width: float = 1.0, distance: float = 5.0) -> dict[str, Any]:
     """Parallel rays along -z over the square of half-width ``width``."""
-    to_world = look_at([0, 0, distance], [0, 0, 0]) @ mi.ScalarTransform4f().scale([width, width, 1])
+    scale = mi.ScalarTransform4f().scale([width, width, 1])
+    to_world = look_at([0, 0, distance], [0, 0, 0]) @ scale
     return {"type": "orthographic", "to_world": to_world, "film": square_film()}
 
 

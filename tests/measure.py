@@ -35,9 +35,7 @@ def radiance(scene: Any, count: int, seed: int, grid: int = 1, integrator: Any =
     ray, weight = sensor.sample_ray_differential(
         sampler.next_1d(), sampler.next_1d(), position, sampler.next_2d()
     )
-    light, _, _ = integrator.sample(
-        scene, sampler, ray, sensor.get_medium(), True
-    )
+    light, _, _ = integrator.sample(scene, sampler, ray, sensor.get_medium(), True)
     light = dr.mean(light * weight)
     return np.array(light, dtype=np.float64).reshape(cells, count)
 

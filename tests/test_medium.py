@@ -1,4 +1,4 @@
-"""The medium plugin: Mitsuba's parameters and paths, checks, updates, its exponential counterpart."""
+"""The medium plugin: parameters and their paths, checks, updates, exponential counterpart."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def test_an_extinction_above_one_is_kept() -> None:
         ({"sigmat": 1.0}, "nonexp_homogeneous has no parameter 'sigmat': its parameters are"),
         ({"transmittance": {"type": "transmittance_linear", "b": 0}}, "Linear.b is 0: it must be"),
         ({"transmittance": {"type": "transmittance_gamma", "b": 1}}, "gamma has no parameter 'b'"),
-        ({"transmittance": {"type": "uniform", "value": 1.0}}, "it must be a nested texture of type"),
+        ({"transmittance": {"type": "uniform", "value": 1.0}}, "a nested texture of type"),
         ({"phase": {"type": "sggx", "S": {"type": "constvolume", "value": 1.0}}}, "microflake"),
         (
             {"a": {"type": "transmittance_linear"}, "b": {"type": "transmittance_gamma"}},
@@ -116,7 +116,7 @@ def test_extinction_by_wavelength_is_refused_in_every_way_to_give_it() -> None:
 
 def test_stock_medium_with_such_extinction_is_refused_when_rendered() -> None:
     coloured = stock(sigma_t={"type": "rgb", "value": [0.1, 0.9, 0.1]})
-    with pytest.raises(RuntimeError, match="dr.while_loop|differs between wavelengths"):
+    with pytest.raises(RuntimeError, match="differs between wavelengths"):
         radiance(scene(sensor=beam(), ball=ball(coloured), sky=FURNACE), 4, 1)
 
 

@@ -72,9 +72,7 @@ def create(name: str, **parameters: Any) -> Transmittance:
     try:
         cls = registry[name]
     except KeyError:
-        raise ValueError(
-            f"model is {name!r}: it must be one of {', '.join(names())}"
-        ) from None
+        raise ValueError(f"model is {name!r}: it must be one of {', '.join(names())}") from None
     allowed = [field.name for field in dataclasses.fields(cls)]  # type: ignore[arg-type]
     for parameter in parameters:
         if parameter not in allowed:
