@@ -43,7 +43,13 @@ def orthographic(width: float = 1.0, distance: float = 5.0) -> dict[str, Any]:
     """Parallel rays along -z over the square of half-width ``width``."""
     scale = mi.ScalarTransform4f().scale([width, width, 1])
     to_world = look_at([0, 0, distance], [0, 0, 0]) @ scale
-    return {"type": "orthographic", "to_world": to_world, "film": square_film()}
+    near = 0.01 * min(distance, 1)
+    return {
+        "type": "orthographic",
+        "to_world": to_world,
+        "near_clip": near,
+        "film": square_film(),
+    }
 
 
 def beam(distance: float = 5.0) -> dict[str, Any]:

@@ -141,3 +141,57 @@ POWER = {
 def test_same_image_as_volpath(case: str, effort: int) -> None:
     within = POWER.get(case, 0.01) / effort**0.5
     assert_same(*both(CASES[case], 1024 * effort), within)
+
+
+def test_stock_media_beside_ours_render_as_they_are(effort: int) -> None:
+    ours = scene("nonexp_volpath", **nested(medium_or(medium), stock))
+    theirs = scene("volpath", **nested(stock, stock))
+    a, b = passes(ours, 1024 * effort, 3, GRID), passes(theirs, 1024 * effort, 4, GRID)
+    assert_same(a, b, POWER["nested"] / effort**0.5)
+
+
+def test_stock_media_alone_render_as_they_are(effort: int) -> None:
+    ours = scene("nonexp_volpath", **lobe(stock, "null", "area"))
+    theirs = scene("volpath", **lobe(stock, "null", "area"))
+    a, b = passes(ours, 1024 * effort, 5, GRID), passes(theirs, 1024 * effort, 6, GRID)
+    assert_same(a, b, 0.01 / effort**0.5)
+
+
+@pytest.mark.parametrize("depth", [0, 1, 2, 3])
+@pytest.mark.parametrize("hide", [False, True], ids=["shown", "hidden"])
+def test_depth_and_hidden_emitters_as_mitsuba_counts_them(depth: int, hide: bool) -> None:
+    """Seen from below, so that the lamp stands before the sky and above the fog."""
+
+    def build(make: Callable[..., Any]) -> dict[str, Any]:
+        parts = lobe(make, "null", "area")
+        lamp = mi.ScalarTransform4f().translate([0.3, 0.5, 2.0]).scale(0.4)
+        parts["emitter"]["to_world"] = lamp
+        parts["emitter"]["flip_normals"] = False
+        return {**parts, "sky": {"type": "constant", "radiance": 0.5}}
+
+    a, b = both(build, 512, depth=depth, hide_emitters=hide)
+    assert_same(a, b, 0.02)
+
+
+@pytest.mark.parametrize("case", ["null-area", "dielectric-constant", "camera inside, area"])
+@pytest.mark.parametrize("variant", ["llvm_ad_mono", "llvm_ad_spectral"], indirect=True)
+def test_same_image_in_other_variants(variant: str, case: str) -> None:
+    within = 3 * POWER.get(case, 0.01)
+    assert_same(*both(CASES[case], 1024), within)
+
+
+@pytest.mark.parametrize("phase", ["isotropic", "rayleigh", "hg", "blendphase"])
+def test_phase_functions(phase: str) -> None:
+    given: dict[str, Any] = {"type": phase}
+    if phase == "hg":
+        given["g"] = -0.6
+    if phase == "blendphase":
+        forward, backward = {"type": "hg", "g": 0.8}, {"type": "hg", "g": -0.4}
+        given = {"type": phase, "weight": 0.3, "forward": forward, "backward": backward}
+
+    def build(make: Callable[..., Any]) -> dict[str, Any]:
+        parts = lobe(make, "null", "directional")
+        parts["lobe"]["interior"]["phase"] = given
+        return parts
+
+    assert_same(*both(build, 512), within=0.02)

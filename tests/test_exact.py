@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from typing import Any
 
@@ -24,6 +25,7 @@ from build import (
 from measure import FALSE_ALARM, assert_mean, assert_same, passes, radiance
 from scipy import integrate, special, stats
 
+import nonexp
 from nonexp import models
 
 every_model = pytest.mark.parametrize("case", MODELS, ids=model_id)
@@ -291,3 +293,114 @@ def test_linear_slab_of_depth_one_is_opaque_however_cut() -> None:
     parts["sensor"] = perspective([0, 0, -1.5], [0, 0, -2], 1)
     del parts["sky"]
     assert np.all(radiance(scene(**parts), 2**12, 17) == 0)
+
+
+# ------------------------------------------------------------------------------- several media
+
+
+def row_of_balls(cases: list[Any], depth: float, albedo: float, **kw: Any) -> dict[str, Any]:
+    place = mi.ScalarTransform4f()
+    return {
+        f"ball {i}": {
+            **ball(medium(*case, sigma_t=depth / 0.8, albedo=albedo, **kw), radius=0.4),
+            "to_world": place.translate([0, 0, i - 1.5]),
+        }
+        for i, case in enumerate(cases)
+    }
+
+
+FOUR = [("linear", {"b": 2.0}), ("gamma", {"alpha": 0.5}), ("quadratic", {}), ("exponential", {})]
+
+
+@pytest.mark.parametrize("light", ["flights", "shadow rays"])
+def test_transmittances_of_media_in_a_row_multiply(light: str) -> None:
+    """Each stretch of one medium begins anew at a fixed point: the product of the four ff."""
+    depth = 0.6
+    expected = math.prod(float(law(case).ff(depth)) for case in FOUR)
+    parts = row_of_balls(FOUR, depth, 0.0)
+    if light == "flights":
+        samples = radiance(scene(sensor=beam(), sky=FURNACE, **parts), 2**19, 18)
+        assert set(np.unique(samples)) <= {0.0, 1.0}
+        assert_mean(samples, expected, 0.05)
+    else:
+        place = mi.ScalarTransform4f().translate([0, 0, -3])
+        built = scene(
+            sensor=perspective([0, 0, -2.5], [0, 0, -3], 0.01),
+            floor={"type": "rectangle", "to_world": place, "bsdf": {"type": "diffuse"}},
+            lamp={"type": "directional", "direction": [0, 0, -1], "irradiance": 1.0},
+            **parts,
+        )
+        samples = radiance(built, 2**10, 18)
+        np.testing.assert_allclose(samples, expected * 0.5 / math.pi, rtol=1e-3)
+
+
+def test_white_furnace_with_several_media() -> None:
+    parts = row_of_balls(FOUR, 2.0, 1.0, sample_emitters=False)
+    built = scene(NO_ROULETTE, sensor=perspective([3, 2, 2], [0, 0, 0]), sky=FURNACE, **parts)
+    np.testing.assert_array_equal(radiance(built, 2**15, 19), 1)
+
+
+# ------------------------------------------------------------------------------- scale
+
+
+@every_model
+@pytest.mark.parametrize("radius", [0.01, 1.0, 1e4])
+def test_shadow_ray_through_a_ball_at_any_scale(case: Any, radius: float) -> None:
+    """Exact to float32 although rays start off the surface by 1e-4 and more."""
+    model = law(case)
+    depth = 0.6
+    place = mi.ScalarTransform4f()
+    floor = place.translate([0, 0, -3 * radius]).scale(radius)
+    built = scene(
+        sensor={
+            **perspective([0, 0, -2 * radius], [0, 0, -3 * radius], 0.01),
+            "near_clip": 0.1 * radius,
+            "far_clip": 10 * radius,
+        },
+        ball=ball(medium(*case, sigma_t=depth / (2 * radius), albedo=0.0), radius=radius),
+        floor={"type": "rectangle", "to_world": floor, "bsdf": {"type": "diffuse"}},
+        lamp={"type": "directional", "direction": [0, 0, -1], "irradiance": 1.0},
+    )
+    expected = float(model.ff(depth)) * 0.5 / math.pi
+    np.testing.assert_allclose(radiance(built, 16, 20), expected, rtol=2e-5, atol=1e-12)
+
+
+@pytest.mark.parametrize("radius", [0.004, 1e4])
+def test_flights_through_a_ball_at_any_scale(radius: float) -> None:
+    """A ray starts 1e-4 or more inside the surface; its flight starts on it."""
+    inside = medium("quadratic", {}, sigma_t=0.5 / radius, albedo=0.0)
+    camera = orthographic(1e-4 * radius, 2 * radius)
+    built = scene(sensor=camera, ball=ball(inside, radius=radius), sky=FURNACE)
+    assert_mean(radiance(built, 2**21, 21), 0.25, 0.01)
+
+
+def test_collision_and_surface_at_the_same_distance_is_a_collision() -> None:
+    """The survival functions say so: pf(b) = 0 for linear(b)."""
+
+    @dataclasses.dataclass(frozen=True, eq=False)
+    class Fixed(nonexp.Transmittance):
+        """Every flight is b long, also the first: no admissible law, but an exact tie."""
+
+        b: Any = nonexp.parameter(1.0)
+        sigma_bar = 1.0
+        ff = pf = pp = lambda self, tau: tau
+        sample_f = sample_p = lambda self, draw: self.b
+
+    model = law(("linear", {"b": 1.5}))
+    assert (model.pf(1.5), model.pf(np.nextafter(1.5, 0))) == (0, 1)
+
+    place = mi.ScalarTransform4f().translate([0, 0, -1.5])
+    wall = {"type": "rectangle", "to_world": place, "emitter": {"type": "area", "radiance": 1.0}}
+    ray = mi.RayDifferential3f([0, 0, 0], [0, 0, -1], 0.0, [])
+    distance = np.float32(scene(wall=wall).ray_intersect(ray).t[0])
+    models.register(Fixed, "fixed")
+    try:
+        for depth, seen in ((distance, 0), (np.nextafter(distance, np.float32(2)), 1)):
+            fog = mi.load_dict(medium("fixed", {"b": float(depth)}, albedo=0.0))
+            sampler = mi.load_dict({"type": "independent"})
+            sampler.seed(0, 1)
+            integrator = mi.load_dict({"type": "nonexp_volpath"})
+            light, _, _ = integrator.sample(scene(wall=wall), sampler, ray, fog)
+            assert light[0][0] == seen
+    finally:
+        del models.registry["fixed"]
