@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os as _os
 
+from .machine import load_drjit as _load_drjit
 from .machine import select_llvm as _select_llvm
 
 __version__ = "0.1.0"
@@ -19,10 +20,21 @@ if all(_os.path.exists(_os.path.join(_root, p)) for p in ("pyproject.toml", "int
     __path__.append(_root)
 
 _select_llvm()  # before Dr.Jit starts its LLVM backend
+_load_drjit()
 
 from . import models, plugins  # noqa: E402
+from .rendering import Image, render  # noqa: E402
 from .transmittance import Draw, Transmittance, parameter  # noqa: E402
 
-__all__ = ["Draw", "Transmittance", "__version__", "models", "parameter", "plugins"]
+__all__ = [
+    "Draw",
+    "Image",
+    "Transmittance",
+    "__version__",
+    "models",
+    "parameter",
+    "plugins",
+    "render",
+]
 
 plugins.install()

@@ -1,0 +1,214 @@
+"""What this machine can render with: the LLVM library, the GPU, the Mitsuba variants.
+
+:func:`select_llvm` needs neither Dr.Jit nor Mitsuba; it must run before Dr.Jit looks for LLVM.
+"""
+
+from __future__ import annotations
+
+import glob
+import os
+import platform
+import re
+import sys
+from dataclasses import dataclass
+
+__all__ = [
+    "LLVM_VARIABLE",
+    "MachineError",
+    "Report",
+    "check_variant",
+    "choose_variant",
+    "find_llvm",
+    "inspect",
+    "load_drjit",
+    "select_llvm",
+]
+
+LLVM_VARIABLE = "DRJIT_LIBLLVM_PATH"
+"""Environment variable from which Dr.Jit takes the path of the LLVM library."""
+
+OLDEST_LLVM = 17
+"""Oldest usable major version: with 15 and 16 Dr.Jit aborts the process in its first kernel."""
+
+_INSTALL = {
+    "Linux": "apt-get install libllvm19",
+    "Darwin": "brew install llvm",
+    "Windows": "winget install LLVM.LLVM",
+}
+_GLOBS = {
+    "Linux": (
+        "/usr/lib/*-linux-gnu/libLLVM*.so*",
+        "/usr/lib/llvm-*/lib/libLLVM*.so*",
+        "/usr/lib64/libLLVM*.so*",
+        "/usr/lib64/llvm*/lib*/libLLVM*.so*",
+        "/usr/lib/libLLVM*.so*",
+        "/usr/local/lib/libLLVM*.so*",
+    ),
+    "Darwin": (
+        "/opt/homebrew/opt/llvm*/lib/libLLVM*.dylib",
+        "/opt/homebrew/Cellar/llvm*/*/lib/libLLVM*.dylib",
+        "/usr/local/opt/llvm*/lib/libLLVM*.dylib",
+        "/usr/local/Cellar/llvm*/*/lib/libLLVM*.dylib",
+    ),
+}
+_ENVIRONMENT_GLOBS = ("lib/libLLVM*.so*", "lib/libLLVM*.dylib")
+
+# libLLVM-19.so.1, libLLVM.so.19.1, libLLVM-14.0.6.so.1, libLLVM.19.dylib, .../llvm-19/lib/...
+_FILE_VERSION = re.compile(
+    r"^libLLVM-(?P<dash>\d+)[^/]*\.(?:so|dylib)"
+    r"|^libLLVM\.so\.(?P<so>\d+)"
+    r"|^libLLVM\.(?P<dylib>\d+)[^/]*\.dylib"
+)
+_FOLDER_VERSION = re.compile(r"/llvm(?:-|@|/)?(\d+)")
+
+
+class MachineError(RuntimeError):
+    """This machine, or the variant asked for, cannot render; the message says what to do."""
+
+
+@dataclass(frozen=True)
+class Report:
+    """What :func:`inspect` found.
+
+    ``variants`` are the supported variants of this Mitsuba that work here; ``gpu`` says whether
+    Dr.Jit can use a GPU; ``llvm_path`` and ``llvm_version`` what its LLVM backend uses, None where
+    it has none; ``problem`` is the sentence that says why the LLVM backend does not work, or None.
+    """
+
+    variants: tuple[str, ...]
+    gpu: bool
+    llvm_path: str | None
+    llvm_version: tuple[int, int, int] | None
+    problem: str | None
+
+
+# --------------------------------------------------------------------- finding LLVM
+
+
+def find_llvm() -> list[tuple[int, str]]:
+    """LLVM libraries of this machine as (major version, path), newest first; 0 for unknown."""
+    patterns = list(_GLOBS.get(platform.system(), ()))
+    for root in (sys.prefix, os.environ.get("CONDA_PREFIX")):
+        if root and os.path.realpath(root) != "/usr":
+            patterns += [os.path.join(glob.escape(root), tail) for tail in _ENVIRONMENT_GLOBS]
+    found: dict[str, tuple[int, str]] = {}
+    for pattern in patterns:
+        for path in sorted(glob.glob(pattern)):
+            if os.path.isfile(path):
+                found.setdefault(os.path.realpath(path), (_major(path), path))
+    return sorted(found.values(), key=lambda entry: -entry[0])
+
+
+def _major(path: str) -> int:
+    """Major version that the names of an LLVM library tell; 0 if they do not."""
+    for name in (path, os.path.realpath(path)):
+        match = _FILE_VERSION.search(os.path.basename(name)) or _FOLDER_VERSION.search(name)
+        if match:
+            return int(next(group for group in match.groups() if group))
+    return 0
+
+
+def select_llvm() -> str | None:
+    """Let Dr.Jit use the newest usable LLVM: sets ``DRJIT_LIBLLVM_PATH`` unless it is set.
+
+    Returns the path chosen. Returns None, and leaves the environment alone, where the variable is
+    set already or no usable library has been found in the usual places.
+    """
+    if os.environ.get(LLVM_VARIABLE):
+        return None
+    for major, path in find_llvm():
+        if major >= OLDEST_LLVM:
+            os.environ[LLVM_VARIABLE] = path
+            return path
+    return None
+
+
+def load_drjit() -> None:
+    """Import Dr.Jit; raises an ``ImportError`` that says what to install where that fails.
+
+    Its wheels for Linux need libatomic, which a minimal system lacks, and then fail with a
+    ``NameError`` of their own.
+    """
+    try:
+        import drjit  # noqa: F401
+    except (ImportError, NameError) as error:
+        cause = error.__context__ or error
+        remedy = "install libatomic1 (apt-get install libatomic1)"
+        if "libatomic" not in str(cause):
+            remedy = "install nonexp again (pip install --force-reinstall drjit mitsuba)"
+        raise ImportError(f"Dr.Jit cannot be loaded ({cause}): {remedy}") from None
+
+
+# --------------------------------------------------------------------- what works
+
+
+def inspect() -> Report:
+    """Look at this machine, without running a kernel."""
+    import drjit as dr
+
+    gpu = bool(dr.has_backend(dr.JitBackend.CUDA))
+    version, path = None, os.environ.get(LLVM_VARIABLE) or None
+    if dr.has_backend(dr.JitBackend.LLVM):
+        major, minor, patch = dr.detail.llvm_version()
+        version = (major, minor, patch)
+    problem = _llvm_problem(path, version)
+    works = {"llvm": problem is None, "cuda": gpu}
+    variants = tuple(v for v in _supported() if works[v[:4]])
+    return Report(variants, gpu, path, version, problem)
+
+
+def _supported() -> list[str]:
+    """The variants of this Mitsuba that nonexp supports."""
+    import mitsuba as mi
+
+    names: list[str] = mi.variants()
+    return [v for v in names if v[:4] in ("llvm", "cuda") and not v.endswith("polarized")]
+
+
+def _llvm_problem(path: str | None, version: tuple[int, int, int] | None) -> str | None:
+    remedy = (
+        f"install LLVM {OLDEST_LLVM} or newer ({_INSTALL.get(platform.system(), 'LLVM')}), "
+        f"or let {LLVM_VARIABLE} point to its libLLVM"
+    )
+    if version is None and path is not None:
+        if not os.path.exists(path):
+            return f"{LLVM_VARIABLE} is {path!r}, which does not exist: {remedy}"
+        return f"{LLVM_VARIABLE} is {path!r}, which Dr.Jit cannot load: {remedy}"
+    if version is None:
+        old = ", ".join(sorted({str(major) for major, _ in find_llvm() if major}))
+        found = f"only LLVM {old}, which is too old" if old else "no LLVM library"
+        return f"this machine has {found}: {remedy}"
+    if version[0] < OLDEST_LLVM:
+        where = f" ({LLVM_VARIABLE} is {path!r})" if path else ""
+        number = ".".join(map(str, version))
+        return f"LLVM is version {number}{where}, with which Dr.Jit would abort: {remedy}"
+    return None
+
+
+def choose_variant(gpu: bool) -> str:
+    """The variant to render with if none is asked for."""
+    return "cuda_ad_rgb" if gpu else "llvm_ad_rgb"
+
+
+def check_variant(name: str | None) -> str:
+    """The variant to set: ``name`` if it works here, by default the fastest one in RGB.
+
+    Raises :class:`MachineError` for an unknown or unsupported variant, and where the LLVM library
+    or the GPU that it needs is missing.
+    """
+    import mitsuba as mi
+
+    report = inspect()
+    name = choose_variant(report.gpu) if name is None else name
+    if name in report.variants:
+        return name
+    if name not in _supported():
+        known = "is not supported" if name in mi.variants() else "is unknown"
+        raise MachineError(f"variant {name!r} {known}: it must be one of {', '.join(_supported())}")
+    if name.startswith("cuda"):
+        usable = ", ".join(report.variants) or "none; run `nonexp doctor`"
+        raise MachineError(
+            f"variant {name!r} needs an NVIDIA GPU and its driver, which are not found: "
+            f"variants that work here are {usable}"
+        )
+    raise MachineError(report.problem or f"variant {name!r} does not work on this machine")
