@@ -47,6 +47,8 @@ def connect(
     ``location(direction)`` tells the medium in which a ray leaves the vertex; ``from_particle``
     marks the vertices that are collisions.
     """
+    if media and media.all_sealed:
+        media = None
     ds, light = scene.sample_emitter_direction(vertex, sample, not needs.null_surfaces, active)
     active = active & (ds.pdf != 0)
     light = dr.select(active, light, 0)

@@ -18,6 +18,8 @@ import mitsuba as mi
 from nonexp import models
 from nonexp.transmittance import Transmittance
 
+from .scene_needs import SceneNeeds
+
 
 @dataclass(frozen=True)
 class _Entry:
@@ -27,6 +29,7 @@ class _Entry:
     sigma_t: Any
     model: Transmittance
     albedo: Callable[..., Any]
+    sealed: bool
 
     @property
     def phase(self) -> Any:
@@ -34,7 +37,7 @@ class _Entry:
 
     @property
     def connects(self) -> bool:
-        return bool(self.pointer.use_emitter_sampling())
+        return not self.sealed and bool(self.pointer.use_emitter_sampling())
 
 
 @dataclass
@@ -49,9 +52,11 @@ class Scatter:
     wo_pdf: Any
 
 
-def scene_media(pointers: Sequence[Any]) -> Media | None:
-    """The media among ``pointers`` in which anything can collide; None if there is none."""
-    entries = [entry for entry in map(_entry, pointers) if entry is not None]
+def scene_media(needs: SceneNeeds) -> Media | None:
+    """The scene's media in which anything can collide; None if there is none."""
+    pointers = needs.media
+    found = (_entry(pointer, sealed=pointer in needs.sealed) for pointer in pointers)
+    entries = [entry for entry in found if entry is not None]
     if not entries:
         return None
     if len(entries) == 1:
@@ -59,7 +64,7 @@ def scene_media(pointers: Sequence[Any]) -> Media | None:
     return ManyMedia(entries)
 
 
-def _entry(pointer: Any) -> _Entry | None:
+def _entry(pointer: Any, sealed: bool) -> _Entry | None:
     """What the loop needs to know of a medium; None where nothing ever collides."""
     model = getattr(pointer, "model", None)
     if model is not None:
@@ -72,7 +77,7 @@ def _entry(pointer: Any) -> _Entry | None:
     if dr.all(dr.detach(sigma_t) == 0):
         return None
     dr.make_opaque(sigma_t)
-    return _Entry(pointer, sigma_t, model, albedo)
+    return _Entry(pointer, sigma_t, model, albedo, sealed)
 
 
 def _stock_extinction(medium: Any) -> Any:
@@ -118,6 +123,10 @@ class Media(ABC):
 
     connects: bool
     """Collisions in some medium use next-event estimation."""
+    some_sealed: bool
+    """No connection from some medium can succeed."""
+    all_sealed: bool
+    """No connection through any medium can succeed."""
 
     @abstractmethod
     def at(self, pointer: Any) -> Any:
@@ -135,6 +144,10 @@ class Media(ABC):
     @abstractmethod
     def collision_connects(self, location: Any) -> Any:
         """Mask: collisions here use next-event estimation."""
+
+    @abstractmethod
+    def sealed(self, location: Any) -> Any:
+        """Mask: no connection from here can succeed."""
 
     @abstractmethod
     def sigma_t(self, location: Any) -> Any:
@@ -160,6 +173,7 @@ class OneMedium(Media):
         self._entry = entry
         self._alone = alone
         self.connects = entry.connects
+        self.some_sealed = self.all_sealed = entry.sealed
 
     def at(self, pointer: Any) -> Any:
         if self._alone:
@@ -171,6 +185,9 @@ class OneMedium(Media):
 
     def collision_connects(self, location: Any) -> Any:
         return mi.Bool(self.connects)
+
+    def sealed(self, location: Any) -> Any:
+        return location if self.some_sealed else mi.Bool(False)
 
     def sigma_t(self, location: Any) -> Any:
         return self._entry.sigma_t
@@ -207,6 +224,9 @@ class ManyMedia(Media):
             table[number] = location
         self._table = mi.UInt32(table)
         self._connects = mi.Bool([entry.connects for entry in entries])
+        self._sealed = mi.Bool([entry.sealed for entry in entries])
+        self.some_sealed = any(entry.sealed for entry in entries)
+        self.all_sealed = all(entry.sealed for entry in entries)
 
     def at(self, pointer: Any) -> Any:
         number = _number(mi.MediumPtr(pointer))
@@ -220,6 +240,9 @@ class ManyMedia(Media):
         if not self._mixed:
             return mi.Bool(self.connects)
         return dr.gather(mi.Bool, self._connects, location - 1, location != 0)
+
+    def sealed(self, location: Any) -> Any:
+        return dr.gather(mi.Bool, self._sealed, location - 1, location != 0)
 
     def sigma_t(self, location: Any) -> Any:
         return dr.gather(mi.Float, self._sigma_t, location - 1, location != 0)

@@ -18,6 +18,10 @@ class SceneNeeds:
 
     media: tuple[Any, ...]
     """Every medium on a shape, a sensor or an emitter, and the one the rays start in."""
+    sealed: tuple[Any, ...]
+    """Those media from which no straight line can reach an emitter: nothing to connect to there."""
+    smooth_boundaries: bool
+    """Some medium boundary scatters smoothly: connections begin on it, to either side."""
     null_surfaces: bool
     """A ray can pass straight through some surface."""
     emitters: bool
@@ -31,29 +35,75 @@ class SceneNeeds:
     def of(scene: mi.Scene, start: Any = None) -> SceneNeeds:
         """Look at ``scene``; ``start`` is the medium in which the rays begin, if any."""
         media: list[Any] = []
-        for medium in (start, *_media(scene)):
+        shapes = _shapes(scene)
+        for medium in (start, *_media(shapes), *_endpoint_media(scene)):
             if medium is not None and medium not in media:
                 media.append(medium)
         emitter_flags = [emitter.flags() for emitter in scene.emitters()]
-        delta = mi.EmitterFlags.Delta
+        delta, infinite = mi.EmitterFlags.Delta, mi.EmitterFlags.Infinite
         return SceneNeeds(
             media=tuple(media),
-            null_surfaces=any(
-                mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Null)
-                for shape in scene.shapes()
-                if shape.bsdf() is not None
+            sealed=tuple(m for m in media if m is not start and _sealed(scene, shapes, m)),
+            smooth_boundaries=any(
+                shape.is_medium_transition() and _scatters(shape, mi.BSDFFlags.Smooth)
+                for shape in shapes
             ),
+            null_surfaces=any(_scatters(shape, mi.BSDFFlags.Null) for shape in shapes),
             emitters=bool(emitter_flags),
             hittable_emitters=any(not mi.has_flag(flags, delta) for flags in emitter_flags),
-            infinite_emitters=any(
-                mi.has_flag(flags, mi.EmitterFlags.Infinite) for flags in emitter_flags
-            ),
+            infinite_emitters=any(mi.has_flag(flags, infinite) for flags in emitter_flags),
         )
 
 
-def _media(scene: mi.Scene) -> Iterator[Any]:
-    for shape in scene.shapes():
+def _shapes(scene: mi.Scene) -> list[Any]:
+    """All shapes, also those that are only there as instances."""
+    shapes = scene.shapes()
+    if any(shape.class_name() == "Instance" for shape in shapes):
+        return [node for node in mi.traverse(scene).hierarchy if isinstance(node, mi.Shape)]
+    return shapes
+
+
+def _media(shapes: list[Any]) -> Iterator[Any]:
+    for shape in shapes:
         yield shape.interior_medium()
         yield shape.exterior_medium()
+
+
+def _endpoint_media(scene: mi.Scene) -> Iterator[Any]:
     for endpoint in (*scene.sensors(), *scene.emitters()):
         yield endpoint.get_medium()
+
+
+def _scatters(shape: mi.Shape, flag: mi.BSDFFlags) -> bool:
+    bsdf = shape.bsdf()
+    return bsdf is not None and bool(mi.has_flag(bsdf.flags(), flag))
+
+
+def _sealed(scene: mi.Scene, shapes: list[Any], medium: Any) -> bool:
+    """Whether ``medium`` fills spheres that let nothing straight through and hold no emitter.
+
+    A cautious answer: no for other shapes, and where boxes cannot tell an emitter from a sphere.
+    """
+    if any(medium == endpoint for endpoint in _endpoint_media(scene)):
+        return False
+    shells, inner = [], []
+    for shape in shapes:
+        if shape.class_name() == "Instance":
+            return False
+        if shape.interior_medium() == medium:
+            closed = shape.shape_type() == mi.ShapeType.Sphere and not shape.has_flipped_normals()
+            if not closed or _scatters(shape, mi.BSDFFlags.Null):
+                return False
+            shells.append(shape.bbox())
+        elif shape.exterior_medium() == medium:
+            inner.append(shape.bbox())
+    outside = (emitter for emitter in scene.emitters() if not _infinite(emitter))
+    return all(any(shell.contains(box) for shell in shells) for box in inner) and not any(
+        not emitter.bbox().valid() or shell.overlaps(emitter.bbox())
+        for emitter in outside
+        for shell in shells
+    )
+
+
+def _infinite(emitter: mi.Emitter) -> bool:
+    return bool(mi.has_flag(emitter.flags(), mi.EmitterFlags.Infinite))

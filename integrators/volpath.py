@@ -95,7 +95,7 @@ class NonexpVolpath(mi.SamplingIntegrator):
         active: Any = True,
     ) -> tuple[mi.Spectrum, mi.Bool, list[mi.Float]]:
         needs = SceneNeeds.of(scene, medium)
-        media = scene_media(needs.media)
+        media = scene_media(needs)
         null = needs.null_surfaces
         start = media.at(mi.MediumPtr(medium)) if media else None
         path = _Path(
@@ -131,7 +131,7 @@ class NonexpVolpath(mi.SamplingIntegrator):
                 t_collision = tau / sigma_t - s.gap
                 ray.maxt = dr.select(inside, t_collision, ray.maxt)
                 gap = s.gap
-            si = scene.ray_intersect(ray, s.active)
+            si = scene.ray_intersect(ray, mi.RayFlags.All, s.depth == 0, s.active)
             if self.hide_emitters:
                 si = self._skip_emitters(scene, ray, si, s.active & (s.depth == 0))
             if media:
@@ -160,7 +160,6 @@ class NonexpVolpath(mi.SamplingIntegrator):
 
             on_surface &= si.is_valid()
             bsdf = si.bsdf()
-            behind = partial(media.behind, si, on_surface, s.location) if media else None
 
             # --------------------------------------------------- connection to an emitter
             vertex = mi.Interaction3f(
@@ -171,10 +170,16 @@ class NonexpVolpath(mi.SamplingIntegrator):
             wo = mi.Vector3f(0, 0, 1)
             if needs.emitters:
                 connecting = smooth & ~last
+                if media and media.some_sealed:
+                    connecting &= ~media.sealed(s.location) | si.is_medium_transition()
                 if media and media.connects:
                     connecting |= collided & ~last & media.collision_connects(s.location)
+                if media and needs.smooth_boundaries:
+                    start = partial(media.behind, si, on_surface, s.location)
+                else:
+                    start = partial(_stay, s.location)
                 ds, light = connect(
-                    scene, needs, media, vertex, behind, collided, sampler.next_2d(), connecting
+                    scene, needs, media, vertex, start, collided, sampler.next_2d(), connecting
                 )
                 wo = ds.d
 
@@ -255,6 +260,10 @@ class NonexpVolpath(mi.SamplingIntegrator):
             f"NonexpVolpath[max_depth={depth}, rr_depth={self.rr_depth}, "
             f"hide_emitters={self.hide_emitters}]"
         )
+
+
+def _stay(location: Any, _direction: Any) -> Any:
+    return location
 
 
 def _power_heuristic(a: mi.Float, b: mi.Float) -> mi.Float:

@@ -70,8 +70,7 @@ class NonexpHomogeneous(mi.Medium):
                 "of type transmittance_<model>"
             )
 
-        exponential = {"type": "transmittance_exponential"}
-        self.transmittance = laws[0] if laws else mi.load_dict(exponential)
+        self.transmittance = laws[0] if laws else _make("transmittance_exponential")
         self.scale = mi.Float(_number(props, "scale", 1.0))
         self.sigma_t = _extinction_volume(props)
         self.albedo = _volume(props, "albedo", 0.75)
@@ -158,6 +157,16 @@ class NonexpHomogeneous(mi.Medium):
 # --------------------------------------------------------------------------------------------------
 
 
+def _make(plugin: str, **values: Any) -> Any:
+    """A plugin's object. Scenes load in parallel: ``mi.load_dict`` here, inside a constructor,
+    would swap the global file resolver under the feet of other plugins that are looking for files.
+    """
+    props = mi.Properties(plugin)
+    for name, value in values.items():
+        props[name] = value
+    return mi.PluginManager.instance().create_object(props)
+
+
 def _number(props: mi.Properties, name: str, default: float) -> float:
     value = props.get(name, default)
     if isinstance(value, bool) or not isinstance(value, (int, float)):
@@ -168,11 +177,11 @@ def _number(props: mi.Properties, name: str, default: float) -> float:
 def _volume(props: mi.Properties, name: str, default: float) -> mi.Volume:
     """A nested volume as it is; anything else as the value of a ``constvolume``, as stock does."""
     if name not in props:
-        return mi.load_dict({"type": "constvolume", "value": default})
+        return _make("constvolume", value=default)
     if props.type(name) == mi.Properties.Type.Object and isinstance(props[name], mi.Volume):
         return props[name]
     _check_literal(props, name)
-    return mi.load_dict({"type": "constvolume", "value": props.get_unbounded_texture(name)})
+    return _make("constvolume", value=props.get_unbounded_texture(name))
 
 
 def _extinction_volume(props: mi.Properties) -> mi.Volume:
@@ -183,7 +192,7 @@ def _extinction_volume(props: mi.Properties) -> mi.Volume:
         # Mitsuba would clip an rgb extinction above 1; a grey one needs no spectrum.
         rgb = np.array(props["sigma_t"]).ravel()
         _check_grey(rgb)
-        return mi.load_dict({"type": "constvolume", "value": float(rgb[0])})
+        return _make("constvolume", value=float(rgb[0]))
     return volume
 
 

