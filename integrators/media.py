@@ -86,6 +86,11 @@ def _stock_extinction(medium: Any) -> Any:
         raise RuntimeError(
             "the scene holds a heterogeneous medium: nonexp_volpath does not support these yet"
         )
+    if mi.has_flag(medium.phase_function().flags(), mi.PhaseFunctionFlags.Microflake):
+        raise RuntimeError(
+            "the scene holds a medium with a microflake phase function: "
+            "nonexp_volpath does not support these yet"
+        )
     mei = dr.zeros(mi.MediumInteraction3f)
     if mi.is_spectral:
         mei.wavelengths = mi.Spectrum(dr.linspace(mi.Float, 380.0, 780.0, 81))

@@ -295,6 +295,50 @@ def test_linear_slab_of_depth_one_is_opaque_however_cut() -> None:
     assert np.all(radiance(scene(**parts), 2**12, 17) == 0)
 
 
+# ------------------------------------------------------------------------------- unbounded media
+
+
+@every_model
+def test_nothing_arrives_from_infinity_through_an_unbounded_medium(case: Any) -> None:
+    """Neither by escape nor by connection, from a floor or from a collision; but in vacuum."""
+    fog = {"type": "ref", "id": "fog"}
+    place = mi.ScalarTransform4f()
+    for sky in (FURNACE, {"type": "directional", "direction": [0, 0, -1]}):
+        built = scene(
+            fog={**medium(*case, sigma_t=0.1, albedo=0.5), "id": "fog"},
+            sensor={**perspective([0, 0, 4], [0, 0, 0], 90), "medium": fog},
+            floor={"type": "rectangle", "to_world": place.scale(0.5), "bsdf": {"type": "diffuse"}},
+            sky=sky,
+        )
+        lit = radiance(built, 2**12, 30).max() > 0
+        assert lit == (law(case).sigma_bar == 0)
+
+
+@every_model
+def test_a_hidden_emitter_in_the_medium_hides_nothing(case: Any) -> None:
+    """The flight goes on behind it, with the depth up to it already used."""
+    model = law(case)
+    fog = {"type": "ref", "id": "fog"}
+    depth = 0.7
+    lamp, wall = (mi.ScalarTransform4f().translate([0, 0, z]) for z in (-1, -2))
+    light = {"type": "area", "radiance": 1.0}
+    built = scene(
+        {"type": "nonexp_volpath", "hide_emitters": True},
+        fog={**medium(*case, sigma_t=depth / 3, albedo=0.0), "id": "fog"},
+        sensor={**orthographic(1e-4, 1.0), "near_clip": 1e-5, "medium": fog},
+        lamp={"type": "rectangle", "to_world": lamp, "emitter": light, "bsdf": {"type": "diffuse"}},
+        wall={"type": "rectangle", "to_world": wall, "bsdf": {"type": "diffuse"}},
+        sun={"type": "point", "position": [0, 0, -1.5], "intensity": 1.0},
+    )
+    arrive = float(model.ff(depth))
+    samples = radiance(built, 2**17, 31)
+    shown = samples[samples > 0]
+    # The wall connects to one of two emitters, and finds the lamp's back half of the time.
+    assert stats.binomtest(shown.size, samples.size, arrive / 2).pvalue > FALSE_ALARM
+    expected = 2 * 0.5 / math.pi * 0.5**-2 * float(model.ff(depth / 6))
+    np.testing.assert_allclose(shown, expected, rtol=1e-4)
+
+
 # ------------------------------------------------------------------------------- several media
 
 

@@ -120,10 +120,12 @@ def test_stock_medium_with_such_extinction_is_refused_when_rendered() -> None:
         radiance(scene(sensor=beam(), ball=ball(coloured), sky=FURNACE), 4, 1)
 
 
-def test_heterogeneous_medium_is_refused_when_rendered() -> None:
+def test_stock_media_of_other_kinds_are_refused_when_rendered() -> None:
     uneven = {"type": "heterogeneous", "sigma_t": {"type": "constvolume", "value": 1.0}}
-    with pytest.raises(RuntimeError, match="heterogeneous medium"):
-        radiance(scene(sensor=beam(), ball=ball(uneven), sky=FURNACE), 4, 1)
+    flakes = stock(phase={"type": "sggx", "S": {"type": "constvolume", "value": 1.0}})
+    for inside, name in ((uneven, "heterogeneous medium"), (flakes, "microflake")):
+        with pytest.raises(RuntimeError, match=name):
+            radiance(scene(sensor=beam(), ball=ball(inside), sky=FURNACE), 4, 1)
 
 
 # ------------------------------------------------------------------------------- updates
