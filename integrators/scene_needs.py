@@ -43,7 +43,7 @@ class SceneNeeds:
         delta, infinite = mi.EmitterFlags.Delta, mi.EmitterFlags.Infinite
         return SceneNeeds(
             media=tuple(media),
-            sealed=tuple(m for m in media if m is not start and _sealed(scene, shapes, m)),
+            sealed=tuple(m for m in media if m != start and _sealed(scene, shapes, m)),
             smooth_boundaries=any(
                 shape.is_medium_transition() and _scatters(shape, mi.BSDFFlags.Smooth)
                 for shape in shapes
