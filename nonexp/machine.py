@@ -20,6 +20,7 @@ __all__ = [
     "choose_variant",
     "find_llvm",
     "inspect",
+    "llvm_problem",
     "load_drjit",
     "select_llvm",
 ]
@@ -147,14 +148,27 @@ def inspect() -> Report:
     import drjit as dr
 
     gpu = bool(dr.has_backend(dr.JitBackend.CUDA))
-    version, path = None, os.environ.get(LLVM_VARIABLE) or None
-    if dr.has_backend(dr.JitBackend.LLVM):
-        major, minor, patch = dr.detail.llvm_version()
-        version = (major, minor, patch)
+    path, version = _llvm()
     problem = _llvm_problem(path, version)
     works = {"llvm": problem is None, "cuda": gpu}
     variants = tuple(v for v in _supported() if works[v[:4]])
     return Report(variants, gpu, path, version, problem)
+
+
+def llvm_problem() -> str | None:
+    """Why Dr.Jit's LLVM backend does not work on this machine, and what to do; None if it does."""
+    return _llvm_problem(*_llvm())
+
+
+def _llvm() -> tuple[str | None, tuple[int, int, int] | None]:
+    """Path (where it has been chosen) and version of the LLVM library that Dr.Jit uses."""
+    import drjit as dr
+
+    path = os.environ.get(LLVM_VARIABLE) or None
+    if not dr.has_backend(dr.JitBackend.LLVM):
+        return path, None
+    major, minor, patch = dr.detail.llvm_version()
+    return path, (major, minor, patch)
 
 
 def _supported() -> list[str]:

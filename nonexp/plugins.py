@@ -14,7 +14,7 @@ from typing import Any
 
 import mitsuba as mi
 
-from . import models
+from . import machine, models
 
 __all__ = ["install", "register", "supported", "unsupported_reason"]
 
@@ -60,17 +60,27 @@ def register() -> None:
             _register_texture(variant, key)
         return
 
-    reason = unsupported_reason(variant)
-    if reason is None:
+    refusal = _refusal(variant)
+    if refusal is None:
         _textures[variant] = _load(*_TEXTURE)
         for name, (kind, module, cls) in _PLUGINS.items():
             _register(kind, name, _load(module, cls))
     else:
-        _textures[variant] = lambda key, props: _refuse(f"transmittance_{key}", variant, reason)
+        _textures[variant] = lambda key, props: _refuse(f"transmittance_{key}", refusal)
         for name, (kind, _, _) in _PLUGINS.items():
-            _register(kind, name, partial(_refuse, name, variant, reason))
+            _register(kind, name, partial(_refuse, name, refusal))
     for key in models.names():
         _register_texture(variant, key)
+
+
+def _refusal(variant: str) -> str | None:
+    """Why a plugin cannot be made in this variant, here; None if it can."""
+    reason = unsupported_reason(variant)
+    if reason is not None:
+        usable = ", ".join(v for v in mi.variants() if supported(v))
+        return f"does not work in variant {variant} ({reason}): use {usable}"
+    problem = machine.llvm_problem() if variant.startswith("llvm") else None
+    return None if problem is None else f"cannot render in variant {variant}: {problem}"
 
 
 def _variant_changed(_old: str | None, _new: str) -> None:
@@ -98,6 +108,5 @@ def _load(module: str, name: str) -> Any:
     return getattr(loaded, name)
 
 
-def _refuse(name: str, variant: str, reason: str, _props: Any = None) -> None:
-    usable = ", ".join(v for v in mi.variants() if supported(v))
-    raise RuntimeError(f"{name} does not work in variant {variant} ({reason}): use {usable}")
+def _refuse(name: str, refusal: str, _props: Any = None) -> None:
+    raise RuntimeError(f"{name} {refusal}")

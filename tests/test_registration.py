@@ -100,3 +100,19 @@ def test_loading_in_parallel_with_plugins_that_read_files() -> None:
             gold={"type": "sphere", "bsdf": gold},
             sky=FURNACE,
         )
+
+
+@pytest.mark.parametrize("version", [14, 15, 16])
+def test_an_llvm_that_would_abort_the_process_is_refused(version: int) -> None:
+    """With it a kernel must not even be tried: Dr.Jit calls abort()."""
+    run(
+        "import nonexp\nfrom nonexp import machine\nimport mitsuba as mi\n"
+        f"machine._llvm = lambda: ('/usr/lib/libLLVM.so', ({version}, 0, 0))\n"
+        "mi.set_variant('llvm_ad_rgb')\n"
+        "for plugin in ('nonexp_volpath', 'nonexp_homogeneous', 'transmittance_gamma'):\n"
+        "    try:\n        mi.load_dict({'type': plugin})\n"
+        "    except RuntimeError as error:\n"
+        "        expected = plugin + ' cannot render in variant llvm_ad_rgb: '\n"
+        f"        assert expected + 'LLVM is version {version}' in str(error), error\n"
+        "    else:\n        raise AssertionError(plugin)\n"
+    )
