@@ -30,7 +30,7 @@ class Linear(Transmittance):
         return ((self.b, 1.0),)
 
     def ff(self, tau: Any) -> Any:
-        return dr.maximum(1 - tau / self.b, 0)
+        return dr.maximum((self.b - tau) / self.b, 0)
 
     def pf(self, tau: Any) -> Any:
         return select(tau < self.b, 1.0, filled(tau, 0.0))

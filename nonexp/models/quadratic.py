@@ -27,7 +27,7 @@ class Quadratic(Transmittance):
         return self.pf(tau) ** 2
 
     def pf(self, tau: Any) -> Any:
-        return dr.maximum(1 - tau / self.b, 0)
+        return dr.maximum((self.b - tau) / self.b, 0)
 
     def pp(self, tau: Any) -> Any:
         return select(tau < self.b, 1 / self.b, filled(tau, 0.0))
