@@ -45,8 +45,10 @@ class _Path:
     """the medium that the ray runs in"""
     from_particle: Any
     """the flight began at a collision"""
-    gap: Any
-    """distance from the last surface to the ray's origin, which stands off it (media only)"""
+    far: Any
+    """length of the ray: that of the camera's ray, then infinite"""
+    offset: Any
+    """from the last event to the ray's origin, which stands off surfaces (media only)"""
     vertex: Any
     """position of the last event (only where rays pass straight through surfaces)"""
     fresh: Any
@@ -77,13 +79,9 @@ class NonexpVolpath(mi.SamplingIntegrator):
 
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
-        depth, rr_depth = props.get("max_depth", -1), props.get("rr_depth", 5)
-        if not isinstance(depth, int) or depth < -1:
-            raise ValueError(f"max_depth is {depth}: it must be -1 (no limit) or an integer >= 0")
-        if not isinstance(rr_depth, int) or rr_depth <= 0:
-            raise ValueError(f"rr_depth is {rr_depth}: it must be an integer > 0")
+        depth = _integer(props, "max_depth", -1, "-1 (no limit) or an integer >= 0", -1)
         self.max_depth = depth if depth >= 0 else 2**32 - 1
-        self.rr_depth = rr_depth
+        self.rr_depth = _integer(props, "rr_depth", 5, "an integer > 0", 1)
         self.hide_emitters = props.get("hide_emitters", False)
 
     def sample(
@@ -111,7 +109,8 @@ class NonexpVolpath(mi.SamplingIntegrator):
             certain=mi.Bool(True),
             location=start,
             from_particle=mi.Bool(False) if media else None,
-            gap=mi.Float(0) if media else None,
+            far=mi.Float(ray.maxt),
+            offset=mi.Vector3f(0) if media else None,
             vertex=mi.Point3f(ray.o) if null else None,
             fresh=mi.Bool(True) if null and media else None,
             tau=mi.Float(0) if null and media else None,
@@ -121,24 +120,26 @@ class NonexpVolpath(mi.SamplingIntegrator):
 
         def event(sampler: mi.Sampler, s: _Path) -> tuple[mi.Sampler, _Path]:
             # --------------------------------------------------- flight to the next event
-            ray = mi.Ray3f(s.o, s.d, dr.largest(mi.Float), time, wavelengths)
+            ray = mi.Ray3f(s.o, s.d, s.far, time, wavelengths)
             if media:
                 inside = s.active & media.inside(s.location)
                 sigma_t = media.sigma_t(s.location)
                 tau = media.flight(s.location, s.from_particle, sampler, inside)
                 if null:
                     tau = dr.select(s.fresh, tau, s.tau)
-                t_collision = tau / sigma_t - s.gap
-                ray.maxt = dr.select(inside, t_collision, ray.maxt)
-                gap = s.gap
+                gap = dr.dot(s.offset, s.d)
+                travelled = tau / sigma_t  # from the last event, not from the ray's origin
+                t_collision = travelled - gap
+                ray.maxt = dr.select(inside, dr.minimum(t_collision, s.far), s.far)
             si = scene.ray_intersect(ray, mi.RayFlags.All, s.depth == 0, s.active)
             if self.hide_emitters:
                 si = self._skip_emitters(scene, ray, si, s.active & (s.depth == 0))
             if media:
                 # A tie of collision and surface is a collision; what never ends sees infinity.
-                collided = inside & (t_collision <= si.t) & (t_collision < dr.inf)
+                collided = inside & (t_collision <= si.t) & (t_collision <= s.far)
                 on_surface = s.active & ~collided
-                p = dr.select(collided, dr.fma(s.d, t_collision, s.o), si.p)
+                p = _collision(s, travelled, gap)
+                p = dr.select(collided, p, si.p)
             else:
                 collided, on_surface, p = mi.Bool(False), s.active, si.p
 
@@ -208,33 +209,32 @@ class NonexpVolpath(mi.SamplingIntegrator):
                 s.radiance = dr.select(connecting, s.radiance + contribution, s.radiance)
 
             # --------------------------------------------------- the next ray
-            s.active = (collided & ~last if media else mi.Bool(False)) | on_surface
+            s.active = on_surface | (collided & ~last) if media else on_surface
+            s.seen |= s.active & ~passed
             s.active &= pdf > 0
             s.throughput = dr.select(s.active, s.throughput * weight, s.throughput)
             s.eta = dr.select(on_surface, s.eta * bs.eta, s.eta)
             scattered = s.active & ~passed
+            s.far = mi.Float(dr.largest(mi.Float))
             s.depth = dr.select(scattered, s.depth + 1, s.depth)
             s.pdf = dr.select(scattered, pdf, s.pdf)
             s.certain = dr.select(scattered, certain, s.certain)
-            s.seen |= scattered
             s.o, s.d = vertex.spawn_ray(d).o, d
             if media:
-                s.gap = dr.dot(s.o - p, d)
+                s.offset = mi.Vector3f(s.o - p)
                 beyond = media.behind(si, on_surface, s.location, d)
                 if null:
                     # Straight through a surface inside one medium the flight goes on.
                     s.fresh = scattered | (beyond != s.location)
-                    s.from_particle = dr.select(s.fresh, collided, s.from_particle)
                     s.tau = dr.maximum(tau - sigma_t * (si.t + gap), 0)
-                else:
-                    s.from_particle = collided
+                s.from_particle = collided
                 s.location = beyond
             if null:
                 s.vertex = dr.select(scattered, p, s.vertex)
 
             # --------------------------------------------------- termination
             s.active &= dr.any(s.throughput != 0) & (s.depth < self.max_depth)
-            survival = dr.minimum(dr.max(s.throughput) * dr.square(s.eta), 0.95)
+            survival = dr.detach(dr.minimum(dr.max(s.throughput) * dr.square(s.eta), 0.95))
             roulette = scattered & (s.depth > self.rr_depth)
             s.active &= ~roulette | (sampler.next_1d() < survival)
             s.throughput = dr.select(roulette, s.throughput * dr.rcp(survival), s.throughput)
@@ -260,6 +260,27 @@ class NonexpVolpath(mi.SamplingIntegrator):
             f"NonexpVolpath[max_depth={depth}, rr_depth={self.rr_depth}, "
             f"hide_emitters={self.hide_emitters}]"
         )
+
+
+def _integer(props: mi.Properties, name: str, default: int, allowed: str, least: int) -> int:
+    value = props.get(name, default)
+    if type(value) is not int or not least <= value < 2**31:
+        raise ValueError(f"{name} is {value}: it must be {allowed}, and below 2^31")
+    return value
+
+
+def _collision(s: _Path, travelled: Any, gap: Any) -> Any:
+    """Point at a distance of ``travelled`` from the last event.
+
+    The ray starts off the surface, and so runs beside the line that it stands for. Right behind
+    the surface the point goes back to that line (but for 0.1 % of the offset, to stay inside):
+    in a dense medium all happens there. The share falls as the square of the distance, so that
+    the point stays inside a curved surface that the ray only grazes.
+    """
+    square = dr.maximum(dr.squared_norm(s.offset), 1e-30)
+    share = dr.maximum(1 - 1e-3 * dr.square(travelled) / square, 0)
+    on_ray = dr.fma(s.d, travelled - gap, s.o)
+    return on_ray - share * (0.999 * s.offset - gap * s.d)
 
 
 def _stay(location: Any, _direction: Any) -> Any:

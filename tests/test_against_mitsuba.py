@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 import mitsuba as mi
+import numpy as np
 import pytest
 from build import ball, medium, perspective, scene, stock
 from measure import assert_same, passes
@@ -204,6 +205,38 @@ def test_depth_and_hidden_emitters_as_mitsuba_counts_them(depth: int, hide: bool
 def test_same_image_in_other_variants(variant: str, case: str) -> None:
     within = 3 * POWER.get(case, 0.012)
     assert_same(*both(CASES[case], 1024), within)
+
+
+@pytest.mark.parametrize("far", [3.5, 4.2, 1e4])
+@pytest.mark.parametrize("where", ["null-constant", "camera inside, area"])
+def test_far_clip_as_mitsuba_takes_it(where: str, far: float) -> None:
+    def build(make: Callable[..., Any]) -> dict[str, Any]:
+        parts = CASES[where](make)
+        parts["sensor"]["far_clip"] = far
+        return parts
+
+    assert_same(*both(build, 512), within=0.05)
+
+
+@pytest.mark.parametrize("hide", [False, True], ids=["shown", "hidden"])
+@pytest.mark.parametrize("bsdf", ["diffuse", "plastic", "roughconductor", "dielectric", "null"])
+def test_alpha_as_mitsuba_counts_it(bsdf: str, hide: bool) -> None:
+    """Also on the back of one-sided surfaces, which scatter nothing."""
+
+    def opacity(make: Callable[..., Any], integrator: str) -> Any:
+        place = mi.ScalarTransform4f().translate([1.3, 0, 0]).rotate([0, 1, 0], 180)
+        parts = {
+            **lobe(make, "null", "area"),
+            "back": {"type": "rectangle", "to_world": place, "bsdf": {"type": bsdf}},
+        }
+        camera = parts["sensor"]
+        camera["film"] = {**camera["film"], "pixel_format": "rgba", "width": 16, "height": 16}
+        built = scene({"type": integrator, "hide_emitters": hide}, **parts)
+        return np.array(mi.render(built, spp=1024, seed=3))[:, :, 3]
+
+    ours, theirs = opacity(medium_or(medium), "nonexp_volpath"), opacity(stock, "volpath")
+    error = np.sqrt((theirs * (1 - theirs) + 1e-6) / 1024 * 2)
+    assert np.max(np.abs(ours - theirs) / error) < 5.5  # 5 sigma over 256 pixels: 1e-5
 
 
 @pytest.mark.parametrize("phase", ["isotropic", "rayleigh", "hg", "blendphase"])

@@ -306,7 +306,7 @@ def test_nothing_arrives_from_infinity_through_an_unbounded_medium(case: Any) ->
     for sky in (FURNACE, {"type": "directional", "direction": [0, 0, -1]}):
         built = scene(
             fog={**medium(*case, sigma_t=0.1, albedo=0.5), "id": "fog"},
-            sensor={**perspective([0, 0, 4], [0, 0, 0], 90), "medium": fog},
+            sensor={**perspective([0, 0, 4], [0, 0, 0], 90), "medium": fog, "far_clip": 1e30},
             floor={"type": "rectangle", "to_world": place.scale(0.5), "bsdf": {"type": "diffuse"}},
             sky=sky,
         )
@@ -416,6 +416,34 @@ def test_flights_through_a_ball_at_any_scale(radius: float) -> None:
     camera = orthographic(1e-4 * radius, 2 * radius)
     built = scene(sensor=camera, ball=ball(inside, radius=radius), sky=FURNACE)
     assert_mean(radiance(built, 2**21, 21), 0.25, 0.01)
+
+
+@pytest.mark.parametrize("sigma_t", [1e3, 3e3])
+@pytest.mark.parametrize(("albedo", "expected"), [(0.5, 0.115225878), (0.9, 0.414947479)])
+def test_dense_ball_is_a_half_space(sigma_t: float, albedo: float, expected: float) -> None:
+    """Classical albedo at normal incidence, although a mean free path is as short as the distance
+    by which rays stand off the surface."""
+    inside = medium(sigma_t=sigma_t, albedo=albedo)
+    samples = radiance(scene(sensor=beam(), ball=ball(inside), sky=FURNACE), 2**21, 40)
+    assert_mean(samples, expected, 0.015)
+
+
+def test_flight_through_many_invisible_surfaces_keeps_its_length() -> None:
+    """Twenty crossings, at each of which the ray starts anew 1e-4 further on."""
+    radius = 0.05
+    fog = {"type": "ref", "id": "fog"}
+    shells = {
+        f"shell {i}": {**ball(fog, radius=radius * (i + 1) / 11), "exterior": fog}
+        for i in range(10)
+    }
+    built = scene(
+        fog={**medium("linear", {"b": 1.0}, sigma_t=0.25 / radius, albedo=0.0), "id": "fog"},
+        ball=ball(fog, radius=radius),
+        sensor=orthographic(1e-3 * radius, 2 * radius),
+        sky=FURNACE,
+        **shells,
+    )
+    assert_mean(radiance(built, 2**20, 41), 0.5, 0.01)
 
 
 def test_collision_and_surface_at_the_same_distance_is_a_collision() -> None:
