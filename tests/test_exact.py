@@ -387,6 +387,10 @@ def test_white_furnace_with_several_media() -> None:
 # ------------------------------------------------------------------------------- scale
 
 
+HALF_SPACE = [(0.5, 0.115225878, 0.146544381), (0.9, 0.414947479, 0.478024489)]
+"""Classical half-space, isotropic scattering: albedo, at normal incidence, under a white sky."""
+
+
 @every_model
 @pytest.mark.parametrize("radius", [0.01, 1.0, 1e4])
 def test_shadow_ray_through_a_ball_at_any_scale(case: Any, radius: float) -> None:
@@ -419,13 +423,18 @@ def test_flights_through_a_ball_at_any_scale(radius: float) -> None:
 
 
 @pytest.mark.parametrize("sigma_t", [1e3, 3e3])
-@pytest.mark.parametrize(("albedo", "expected"), [(0.5, 0.115225878), (0.9, 0.414947479)])
-def test_dense_ball_is_a_half_space(sigma_t: float, albedo: float, expected: float) -> None:
-    """Classical albedo at normal incidence, although a mean free path is as short as the distance
-    by which rays stand off the surface."""
-    inside = medium(sigma_t=sigma_t, albedo=albedo)
-    samples = radiance(scene(sensor=beam(), ball=ball(inside), sky=FURNACE), 2**21, 40)
-    assert_mean(samples, expected, 0.015)
+@pytest.mark.parametrize(("albedo", "normal", "sky"), HALF_SPACE)
+def test_dense_ball_is_a_half_space(
+    sigma_t: float, albedo: float, normal: float, sky: float
+) -> None:
+    """Although a mean free path is as short as the distance by which rays stand off surfaces.
+
+    A beam in the middle finds the albedo at normal incidence, the whole disc the white-sky one.
+    """
+    parts = {"ball": ball(medium(sigma_t=sigma_t, albedo=albedo)), "sky": FURNACE}
+    assert_mean(radiance(scene(sensor=beam(), **parts), 2**20, 40), normal, 0.015)
+    disc = radiance(scene(sensor=orthographic(1.0), **parts), 2**20, 41)
+    assert_mean(disc, 1 - math.pi / 4 * (1 - sky), 0.015)
 
 
 def test_flight_through_many_invisible_surfaces_keeps_its_length() -> None:
