@@ -74,7 +74,8 @@ def _entry(pointer: Any, sealed: bool) -> _Entry | None:
         sigma_t, albedo = _stock_extinction(pointer), _stock_albedo(pointer)
     if isinstance(model.sigma_bar, float) and model.sigma_bar == 0:
         return None
-    if dr.all(dr.detach(sigma_t) == 0):
+    # While a function is being frozen nothing can be read: then zero goes through the loop.
+    if not dr.flag(dr.JitFlag.FreezingScope) and dr.all(dr.detach(sigma_t) == 0):
         return None
     dr.make_opaque(sigma_t)
     return _Entry(pointer, sigma_t, model, albedo, sealed)

@@ -55,6 +55,8 @@ class NonexpHomogeneous(mi.Medium):
             value: Any = props[name] if props.type(name) == mi.Properties.Type.Object else None
             if hasattr(value, "model"):
                 laws.append(value)
+            elif name == "phase" and not isinstance(value, mi.PhaseFunction):
+                raise ValueError(f"phase is {props[name]}: it must be a nested phase function")
             elif name not in _PARAMETERS and not isinstance(value, mi.PhaseFunction):
                 raise ValueError(
                     f"nonexp_homogeneous has no parameter {name!r}: "
@@ -111,9 +113,13 @@ class NonexpHomogeneous(mi.Medium):
         parameters = mi.traverse(self)
         own = [k for k in parameters.keys() if k.split(".")[0] in ("scale", "sigma_t", "albedo")]
         try:
-            _check_range("scale", np.array(self.scale), dr.inf)
-            sigma_t = _spectrum_of(self.sigma_t)
+            scale, sigma_t = np.array(self.scale), _spectrum_of(self.sigma_t)
+            if scale.size != 1:
+                raise ValueError(f"scale holds {scale.size} numbers: it must be one")
+            _check_range("scale", scale, dr.inf)
             _check_range("sigma_t", sigma_t, dr.inf)
+            with np.errstate(over="ignore"):
+                _check_range("sigma_t * scale", sigma_t * scale, dr.inf)
             _check_grey(sigma_t)
             _check_range("albedo", _values_of(self.albedo), 1.0)
         except ValueError:

@@ -79,7 +79,7 @@ def plan(spp: int, pixels: int) -> Plan:
     >>> plan(64, 480 * 360), plan(1000, 480 * 360).spp
     (Plan(passes=8, pass_spp=8), 1024)
     """
-    if spp < 1:
+    if not isinstance(spp, int) or spp < 1:
         raise ValueError(f"spp is {spp}: it must be a whole number >= 1")
     pass_spp = _power_of_two(min(spp // MIN_PASSES, MAX_PASS_SAMPLES // pixels))
     if pixels * pass_spp <= _LARGE_PASS:
@@ -228,8 +228,10 @@ def render(
     With a box filter and the ``independent`` sampler the same scene, spp and seed give the same
     image to the last bit on the same machine; otherwise to about 1e-5 (sums are made in parallel).
     """
-    if seed < 0:
+    if not isinstance(seed, int) or seed < 0:
         raise ValueError(f"seed is {seed}: it must be a whole number >= 0")
+    if not 0 <= sensor < len(scene.sensors()):
+        raise ValueError(f"sensor is {sensor}: the scene has {len(scene.sensors())} of them")
     todo = planned(scene, spp, sensor)
     sampler = scene.sensors()[sensor].sampler()
     scene_spp = sampler.sample_count()

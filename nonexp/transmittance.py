@@ -23,6 +23,7 @@ from __future__ import annotations
 import dataclasses
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from numbers import Real
 from typing import Any, ClassVar
 
 import drjit as dr
@@ -97,13 +98,13 @@ def parameter(default: float, *, above: float = -dr.inf, doc: str = "") -> Any:
     allowed = "a finite number" if above == -dr.inf else f"a finite number > {above:g}"
 
     def check(name: str, value: Any) -> None:
-        number = dr.detach(value) if dr.is_array_v(value) else value
-        try:
-            number = float(number[0] if dr.is_array_v(number) and len(number) == 1 else number)
-        except (TypeError, ValueError, RuntimeError):
-            raise ValueError(f"{name} is {value!r}: it must be {allowed}") from None
-        if not (above < number < dr.inf):
-            raise ValueError(f"{name} is {number:g}: it must be {allowed}")
+        number = value
+        if dr.is_array_v(value) and len(value) == 1:
+            number = dr.detach(value)[0]
+        if isinstance(number, bool) or not isinstance(number, Real):
+            raise ValueError(f"{name} is {value!r}: it must be {allowed}")
+        if not above < float(number) < dr.inf:
+            raise ValueError(f"{name} is {float(number):g}: it must be {allowed}")
 
     limits = "" if above == -dr.inf else f"> {above:g}"
     metadata = {"check": check, "range": limits, "doc": doc}

@@ -85,6 +85,9 @@ def test_an_extinction_above_one_is_kept() -> None:
         ({"albedo": {"type": "rgb", "value": [0, 0, -0.1]}}, "albedo is -0.1: it must be within"),
         ({"scale": -2.0}, "scale is -2: it must be a finite number >= 0"),
         ({"scale": "two"}, "scale is 'two': it must be a number"),
+        ({"sigma_t": 1e30, "scale": 1e30}, "sigma_t * scale is inf: it must be a finite number"),
+        ({"phase": {"type": "diffuse"}}, "it must be a nested phase function"),
+        ({"transmittance": {"type": "transmittance_gamma", "alpha": "2"}}, "Gamma.alpha is '2'"),
         ({"sigmat": 1.0}, "nonexp_homogeneous has no parameter 'sigmat': its parameters are"),
         ({"transmittance": {"type": "transmittance_linear", "b": 0}}, "Linear.b is 0: it must be"),
         ({"transmittance": {"type": "transmittance_gamma", "b": 1}}, "gamma has no parameter 'b'"),
@@ -165,6 +168,7 @@ def test_updates_take_effect_in_the_next_render() -> None:
         ("transmittance.alpha", math.nan, "Gamma.alpha is nan"),
         ("sigma_t.value.value", -2.0, "sigma_t is -2"),
         ("scale", math.inf, "scale is inf"),
+        ("scale", mi.Float(1, 2), "scale holds 2 numbers"),
         ("albedo.data", mi.TensorXf(np.full((2, 2, 2, 1), 1.4)), "albedo is 1.4"),
     ],
 )

@@ -51,6 +51,8 @@ def test_default_laws_have_unit_mean_extinction() -> None:
         ("quadratic", {"b": math.nan}, "Quadratic.b is nan: it must be"),
         ("gamma", {"alpha": math.inf}, "Gamma.alpha is inf: it must be"),
         ("gamma", {"alpha": "two"}, "Gamma.alpha is 'two': it must be"),
+        ("gamma", {"alpha": "2"}, "Gamma.alpha is '2': it must be"),
+        ("gamma", {"alpha": True}, "Gamma.alpha is True: it must be"),
         ("gamma", {"alpha": Float(-2)}, "Gamma.alpha is -2: it must be"),
         ("gamma", {"alpha": Float(1, 2)}, "Gamma.alpha is"),
     ],

@@ -116,3 +116,9 @@ def test_an_llvm_that_would_abort_the_process_is_refused(version: int) -> None:
         f"        assert expected + 'LLVM is version {version}' in str(error), error\n"
         "    else:\n        raise AssertionError(plugin)\n"
     )
+
+
+@pytest.mark.parametrize("given", [{"max_depth": 2**32}, {"rr_depth": 0}, {"max_depth": True}])
+def test_depths_out_of_range_are_refused(given: dict[str, int]) -> None:
+    with pytest.raises(RuntimeError, match=r"_depth is .*: it must be"):
+        mi.load_dict({"type": "nonexp_volpath", **given})

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import mitsuba as mi
 import numpy as np
 import pytest
 
+import nonexp
 from nonexp import rendering
 
 
@@ -206,3 +208,20 @@ def test_stopping_from_the_callback_leaves_the_scene_usable() -> None:
 def test_a_negative_seed_is_refused() -> None:
     with pytest.raises(ValueError, match="seed is -1: it must be"):
         rendering.render(scene(), seed=-1)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"spp": 2.5}, "spp is 2.5: it must be a whole number >= 1"),
+        ({"seed": 1.5}, "seed is 1.5: it must be a whole number >= 0"),
+        ({"seed": -1}, "seed is -1: it must be a whole number >= 0"),
+        ({"sensor": 3}, "sensor is 3: the scene has 0 of them"),
+    ],
+)
+def test_bad_arguments_are_named(arguments: dict[str, Any], message: str) -> None:
+    scene = mi.load_dict({"type": "scene"})
+    with pytest.raises(ValueError, match=re.escape(message)):
+        if "spp" in arguments:
+            rendering.plan(arguments["spp"], 100)
+        nonexp.render(scene, **arguments)

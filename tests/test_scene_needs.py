@@ -6,6 +6,7 @@ from typing import Any
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 import pytest
 from build import FURNACE, ball, medium, perspective, scene, stock
 from measure import radiance
@@ -150,3 +151,19 @@ def test_parameters_do_not_change_the_kernel() -> None:
             kernels = dr.kernel_history([dr.KernelType.JIT])
             hashes.add(max(kernels, key=lambda k: k["operation_count"])["hash"])
     assert len(hashes) == 1
+
+
+def test_a_render_can_be_frozen() -> None:
+    built = scene(
+        sensor=perspective([0, 0, 4], [0, 0, 0]),
+        ball=ball(medium("gamma", {"alpha": 2.0}, sigma_t=1.0)),
+        lamp=LAMP,
+    )
+
+    @dr.freeze
+    def frozen(built: Any, seed: mi.UInt32) -> mi.TensorXf:
+        return mi.render(built, spp=4, seed=seed)
+
+    for seed in range(3):
+        replayed = np.array(frozen(built, mi.UInt32(seed)))
+        np.testing.assert_array_equal(replayed, np.array(mi.render(built, spp=4, seed=seed)))
