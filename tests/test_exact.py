@@ -6,6 +6,7 @@ import dataclasses
 import math
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -173,6 +174,28 @@ def test_infinite_medium_collides_by_its_albedo(order: int) -> None:
     }
     samples = radiance(scene(**parts), 2**12, 10)
     assert np.mean(samples) < 1e-2
+
+
+@pytest.mark.parametrize("rr_depth", [2, 1_000_000])
+def test_derivative_by_albedo_also_through_roulette(rr_depth: int) -> None:
+    """Radiance is the mean of c^n over the number of collisions, its derivative that of n c^(n-1);
+    n is known, path by path, from albedo 1/2."""
+    case, sigma_t, albedo = ("gamma", {"alpha": 2.0}), 4.0, 0.9
+    n = collisions(case, sigma_t, 2**18, 50)
+    expected = n * albedo ** (n - 1)
+
+    inside = medium(*case, sigma_t=sigma_t, albedo=albedo, sample_emitters=False)
+    parts = {"sensor": orthographic(1.0), "ball": ball(inside), "sky": FURNACE}
+    built = scene({"type": "nonexp_volpath", "rr_depth": rr_depth}, **parts)
+    parameters = mi.traverse(built)
+    key = "ball.interior_medium.albedo.value.value"
+    dr.enable_grad(parameters[key])
+    parameters.update()
+    image = mi.render(built, parameters, spp=2048, seed=51)
+    dr.forward(parameters[key])
+    slopes = np.array(dr.grad(image)).ravel()
+    assert np.all(np.isfinite(slopes))
+    assert abs(slopes.mean() / expected.mean() - 1) < 0.03
 
 
 # ------------------------------------------------------------------------------- ensembles
