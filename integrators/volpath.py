@@ -176,11 +176,11 @@ class NonexpVolpath(mi.SamplingIntegrator):
                 if media and media.connects:
                     connecting |= collided & ~last & media.collision_connects(s.location)
                 if media and needs.smooth_boundaries:
-                    start = partial(media.behind, si, on_surface, s.location)
+                    leaving = partial(media.behind, si, on_surface, s.location)
                 else:
-                    start = partial(_stay, s.location)
+                    leaving = partial(_stay, s.location)
                 ds, light = connect(
-                    scene, needs, media, vertex, start, collided, sampler.next_2d(), connecting
+                    scene, needs, media, vertex, leaving, collided, sampler.next_2d(), connecting
                 )
                 wo = ds.d
 
