@@ -19,7 +19,7 @@ dragon: .venv/.installed
 	$(NONEXP) render scenes/dragon.xml -o out/dragon.exr
 
 test: lint
-	.venv/bin/python -m pytest -m 'not slow'
+	.venv/bin/python -m pytest
 
 test-slow: .venv/.installed
 	.venv/bin/python -m pytest --full

@@ -14,8 +14,10 @@ from typing import Any
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
 from nonexp import models
+from nonexp.spectra import grey, visible
 from nonexp.transmittance import Transmittance
 
 from .scene_needs import SceneNeeds
@@ -32,12 +34,25 @@ class _Entry:
     sealed: bool
 
     @property
-    def phase(self) -> Any:
-        return self.pointer.phase_function()
-
-    @property
     def connects(self) -> bool:
         return not self.sealed and bool(self.pointer.use_emitter_sampling())
+
+    def flight(self, from_particle: Any, draws: Callable[[], Callable[[], Any]]) -> Any:
+        """Optical depth of the next collision; ``draws()`` begins the random numbers anew, as only
+        one of the two laws is used per lane."""
+        p, f = self.model.sample_p(draws()), self.model.sample_f(draws())
+        return dr.select(from_particle, mi.Float(p), mi.Float(f))
+
+    def survival(self, from_particle: Any, tau: Any) -> Any:
+        """Transmittance over ``tau``: pf from a particle, ff from a fixed point."""
+        return dr.select(from_particle, self.model.pf(tau), self.model.ff(tau))
+
+    def scatter(self, mei: Any, wo: Any, u1: Any, u2: Any, active: Any) -> Scatter:
+        """Phase function towards ``wo`` and a sampled direction, at collisions ``mei``."""
+        context, phase = mi.PhaseFunctionContext(None), self.pointer.phase_function()
+        value, pdf = phase.eval_pdf(context, mei, wo, active)
+        sampled, weight, sampled_pdf = phase.sample(context, mei, u1, u2, active)
+        return Scatter(self.albedo(mei, active), value, pdf, sampled, weight, sampled_pdf)
 
 
 @dataclass
@@ -92,12 +107,8 @@ def _stock_extinction(medium: Any) -> Any:
             "the scene holds a medium with a microflake phase function: "
             "nonexp_volpath does not support these yet"
         )
-    mei = dr.zeros(mi.MediumInteraction3f)
-    if mi.is_spectral:
-        mei.wavelengths = mi.Spectrum(dr.linspace(mi.Float, 380.0, 780.0, 81))
-    sigma_t = medium.get_majorant(mei)
-    low, high = dr.min(dr.detach(sigma_t), axis=None), dr.max(dr.detach(sigma_t), axis=None)
-    if dr.any(high - low > 1e-5 * high):
+    sigma_t = medium.get_majorant(visible())
+    if not grey(np.array(dr.detach(sigma_t))):
         raise RuntimeError(
             "the scene holds a medium whose sigma_t differs between wavelengths: "
             "nonexp_volpath does not support these yet"
@@ -111,14 +122,6 @@ def _stock_albedo(medium: Any) -> Callable[..., Any]:
         return sigma_s / sigma_t
 
     return albedo
-
-
-def _scatter(entry: _Entry, mei: Any, wo: Any, u1: Any, u2: Any, active: Any) -> Scatter:
-    context = mi.PhaseFunctionContext(None)
-    value, pdf = entry.phase.eval_pdf(context, mei, wo, active)
-    sampled, weight, sampled_pdf = entry.phase.sample(context, mei, u1, u2, active)
-    albedo = entry.albedo(mei, active)
-    return Scatter(albedo, value, pdf, sampled, weight, sampled_pdf)
 
 
 # --------------------------------------------------------------------------------------------------
@@ -199,16 +202,13 @@ class OneMedium(Media):
         return self._entry.sigma_t
 
     def flight(self, location: Any, from_particle: Any, sampler: Any, active: Any) -> Any:
-        draw = _shared_draws(lambda: sampler.next_1d(active))
-        model = self._entry.model
-        return dr.select(from_particle, model.sample_p(draw()), model.sample_f(draw()))
+        return self._entry.flight(from_particle, _shared_draws(lambda: sampler.next_1d(active)))
 
     def survival(self, location: Any, from_particle: Any, tau: Any) -> Any:
-        model = self._entry.model
-        return dr.select(from_particle, model.pf(tau), model.ff(tau))
+        return self._entry.survival(from_particle, tau)
 
     def scatter(self, location: Any, mei: Any, wo: Any, u1: Any, u2: Any, active: Any) -> Scatter:
-        return _scatter(self._entry, mei, wo, u1, u2, active)
+        return self._entry.scatter(mei, wo, u1, u2, active)
 
 
 class ManyMedia(Media):
@@ -259,11 +259,7 @@ class ManyMedia(Media):
 
         def call(entry: _Entry) -> Callable[..., Any]:
             def flight(from_particle: Any, numbers: list[Any], active: Any) -> Any:
-                p, f = (
-                    mi.Float(sample(iter(numbers).__next__))
-                    for sample in (entry.model.sample_p, entry.model.sample_f)
-                )
-                return dr.select(from_particle, p, f)
+                return entry.flight(from_particle, lambda: iter(numbers).__next__)
 
             return flight
 
@@ -272,7 +268,7 @@ class ManyMedia(Media):
     def survival(self, location: Any, from_particle: Any, tau: Any) -> Any:
         def call(entry: _Entry) -> Callable[..., Any]:
             def survival(from_particle: Any, tau: Any, active: Any) -> Any:
-                return dr.select(from_particle, entry.model.pf(tau), entry.model.ff(tau))
+                return entry.survival(from_particle, tau)
 
             return survival
 
@@ -281,7 +277,7 @@ class ManyMedia(Media):
     def scatter(self, location: Any, mei: Any, wo: Any, u1: Any, u2: Any, active: Any) -> Scatter:
         def call(entry: _Entry) -> Callable[..., Any]:
             def scatter(mei: Any, wo: Any, u1: Any, u2: Any, active: Any) -> Any:
-                s = _scatter(entry, mei, wo, u1, u2, active)
+                s = entry.scatter(mei, wo, u1, u2, active)
                 return s.albedo, s.value, s.pdf, s.wo, s.weight, s.wo_pdf
 
             return scatter

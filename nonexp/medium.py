@@ -11,6 +11,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from nonexp.spectra import grey, somewhere, visible
 from nonexp.transmittance import Transmittance
 
 _PARAMETERS = (
@@ -90,7 +91,7 @@ class NonexpHomogeneous(mi.Medium):
 
     def extinction(self) -> mi.Float:
         """Extinction per scene unit, ``sigma_t * scale``."""
-        return self.sigma_t.eval(_somewhere())[0] * self.scale
+        return self.sigma_t.eval(somewhere())[0] * self.scale
 
     def eval_albedo(self, mei: mi.MediumInteraction3f, active: Any = True) -> mi.Spectrum:
         """Albedo at a collision."""
@@ -220,25 +221,16 @@ def _check_range(name: str, values: Any, upper: float) -> None:
 
 
 def _check_grey(sigma_t: Any) -> None:
-    low, high = np.min(sigma_t), np.max(sigma_t)
-    if high - low > 1e-5 * high:
+    if not grey(sigma_t):
         raise ValueError(
-            f"sigma_t runs from {low:g} to {high:g} over the wavelengths: extinction that differs "
-            "between them is not supported yet, use one value"
+            f"sigma_t runs from {np.min(sigma_t):g} to {np.max(sigma_t):g} over the wavelengths: "
+            "extinction that differs between them is not supported yet, use one value"
         )
-
-
-def _somewhere(wavelengths: Any = 550.0) -> mi.MediumInteraction3f:
-    mei = dr.zeros(mi.MediumInteraction3f)
-    if mi.is_spectral:
-        mei.wavelengths = mi.Spectrum(wavelengths)
-    return mei
 
 
 def _spectrum_of(volume: mi.Volume) -> Any:
     """Values over the channels, or over the visible wavelengths."""
-    visible = dr.linspace(mi.Float, 380.0, 780.0, 81)
-    return np.array(dr.detach(volume.eval(_somewhere(visible))))
+    return np.array(dr.detach(volume.eval(visible())))
 
 
 def _values_of(volume: mi.Volume) -> Any:

@@ -53,13 +53,15 @@ def install() -> None:
 
 
 def register() -> None:
-    """Register the plugins with the variant that is set; does nothing the second time."""
+    """Register the plugins with the variant that is set: models each time, the rest once."""
     variant = mi.variant()
-    if variant in _textures:
-        for key in models.names():
-            _register_texture(variant, key)
-        return
+    if variant not in _textures:
+        _register_classes(variant)
+    for key in models.names():
+        _register_texture(variant, key)
 
+
+def _register_classes(variant: str) -> None:
     refusal = _refusal(variant)
     if refusal is None:
         _textures[variant] = _load(*_TEXTURE)
@@ -69,8 +71,6 @@ def register() -> None:
         _textures[variant] = lambda key, props: _refuse(f"transmittance_{key}", refusal)
         for name, (kind, _, _) in _PLUGINS.items():
             _register(kind, name, partial(_refuse, name, refusal))
-    for key in models.names():
-        _register_texture(variant, key)
 
 
 def _refusal(variant: str) -> str | None:

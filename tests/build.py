@@ -66,8 +66,8 @@ def perspective(origin: list[float], target: list[float], fov: float = 45) -> di
     }
 
 
-def square_film() -> dict[str, Any]:
-    return {"type": "hdrfilm", "width": 8, "height": 8, "rfilter": {"type": "box"}}
+def square_film(size: int = 8) -> dict[str, Any]:
+    return {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}}
 
 
 def scene(integrator: str | dict[str, Any] = "nonexp_volpath", **parts: Any) -> Any:

@@ -21,10 +21,9 @@ FALSE_ALARM = 1e-5
 500 comparisons: all together cry wolf with a probability below 0.5 %."""
 
 
-def radiance(scene: Any, count: int, seed: int, grid: int = 1, integrator: Any = None) -> Any:
+def radiance(scene: Any, count: int, seed: int, grid: int = 1) -> Any:
     """``count`` paths through each cell of a ``grid`` x ``grid`` film: (cells, count) means over
     channels."""
-    integrator = integrator or scene.integrator()
     sensor = scene.sensors()[0]
     cells = grid * grid
     sampler = mi.load_dict({"type": "independent"})
@@ -35,14 +34,14 @@ def radiance(scene: Any, count: int, seed: int, grid: int = 1, integrator: Any =
     ray, weight = sensor.sample_ray_differential(
         sampler.next_1d(), sampler.next_1d(), position, sampler.next_2d()
     )
-    light, _, _ = integrator.sample(scene, sampler, ray, sensor.get_medium(), True)
+    light, _, _ = scene.integrator().sample(scene, sampler, ray, sensor.get_medium(), True)
     light = dr.mean(light * weight)
     return np.array(light, dtype=np.float64).reshape(cells, count)
 
 
-def passes(scene: Any, count: int, seed: int, grid: int = 1, **kw: Any) -> Any:
+def passes(scene: Any, count: int, seed: int, grid: int = 1) -> Any:
     """Block means of :data:`PASSES` independent passes: (cells, PASSES)."""
-    values = radiance(scene, count * PASSES, seed, grid, **kw)
+    values = radiance(scene, count * PASSES, seed, grid)
     return values.reshape(grid * grid, PASSES, count).mean(axis=2)
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
-from build import ball, medium, perspective, scene, stock
+from build import ball, perspective, scene, stock
 from measure import assert_same, passes
 
 GRID = 6
@@ -142,14 +142,14 @@ CASES: dict[str, Callable[..., dict[str, Any]]] = {
 def both(
     build: Callable[..., dict[str, Any]], count: int, grid: int = GRID, depth: int = -1, **kw: Any
 ) -> tuple[Any, Any]:
-    ours = scene({"type": "nonexp_volpath", "max_depth": depth, **kw}, **build(medium_or(medium)))
+    ours = scene({"type": "nonexp_volpath", "max_depth": depth, **kw}, **build(drop_in))
     theirs = scene({"type": "volpath", "max_depth": depth, **kw}, **build(stock))
     return passes(ours, count, 1, grid), passes(theirs, count, 2, grid)
 
 
-def medium_or(make: Callable[..., Any]) -> Callable[..., Any]:
-    """nonexp_homogeneous without a nested law: exponential by default."""
-    return lambda **kw: {"type": "nonexp_homogeneous", **kw}
+def drop_in(**kw: Any) -> Any:
+    """Our medium as one writes Mitsuba's: without a nested law, exponential by default."""
+    return {"type": "nonexp_homogeneous", **kw}
 
 
 # Relative bias that a case finds with a probability above 0.9, on 64 passes of 1024 paths a block.
@@ -171,7 +171,7 @@ def test_same_image_as_volpath(case: str, effort: int) -> None:
 
 
 def test_stock_media_beside_ours_render_as_they_are(effort: int) -> None:
-    ours = scene("nonexp_volpath", **nested(medium_or(medium), stock))
+    ours = scene("nonexp_volpath", **nested(drop_in, stock))
     theirs = scene("volpath", **nested(stock, stock))
     a, b = passes(ours, 1024 * effort, 3, GRID), passes(theirs, 1024 * effort, 4, GRID)
     assert_same(a, b, POWER["nested"] / effort**0.5)
@@ -234,7 +234,7 @@ def test_alpha_as_mitsuba_counts_it(bsdf: str, hide: bool) -> None:
         built = scene({"type": integrator, "hide_emitters": hide}, **parts)
         return np.array(mi.render(built, spp=1024, seed=3))[:, :, 3]
 
-    ours, theirs = opacity(medium_or(medium), "nonexp_volpath"), opacity(stock, "volpath")
+    ours, theirs = opacity(drop_in, "nonexp_volpath"), opacity(stock, "volpath")
     error = np.sqrt((theirs * (1 - theirs) + 1e-6) / 1024 * 2)
     assert np.max(np.abs(ours - theirs) / error) < 5.5  # 5 sigma over 256 pixels: 1e-5
 

@@ -213,15 +213,11 @@ def test_volume_albedo_varies_in_space() -> None:
         camera["to_world"] = place.look_at([0, 0, 5 * side], [0, 0, 0], [0, 1, 0])
         built = scene(
             sensor=camera,
-            ball=ball(load_dict_with_depth(albedo)),
+            ball=ball({"type": "nonexp_homogeneous", "sigma_t": 20.0, "albedo": albedo}),
             sky=FURNACE,
         )
         mean = radiance(built, 2**12, 1).mean()
         assert (mean > 0.5) == lit
-
-
-def load_dict_with_depth(albedo: dict[str, Any]) -> dict[str, Any]:
-    return {"type": "nonexp_homogeneous", "sigma_t": 20.0, "albedo": albedo}
 
 
 def test_stock_integrator_shows_the_exponential_counterpart() -> None:
