@@ -22,9 +22,10 @@ if all(_os.path.exists(_os.path.join(_root, p)) for p in ("pyproject.toml", "int
 _select_llvm()  # before Dr.Jit starts its LLVM backend
 _load_drjit()
 
-from . import models, plugins  # noqa: E402
+from . import models, parameters, plugins  # noqa: E402
+from .parameters import parameter  # noqa: E402
 from .rendering import Image, render  # noqa: E402
-from .transmittance import Draw, Transmittance, parameter  # noqa: E402
+from .transmittance import Draw, Transmittance  # noqa: E402
 
 __all__ = [
     "Draw",
@@ -33,6 +34,7 @@ __all__ = [
     "__version__",
     "models",
     "parameter",
+    "parameters",
     "plugins",
     "render",
 ]

@@ -267,7 +267,7 @@ def _models(_options: argparse.Namespace) -> int:
     from rich.table import Table
     from rich.text import Text
 
-    from . import models
+    from . import models, parameters
 
     console = _stdout()
     style = box.ROUNDED if console.is_terminal else None
@@ -277,8 +277,8 @@ def _models(_options: argparse.Namespace) -> int:
     for name in models.names():
         cls = models.registry[name]
         law = (inspect.getdoc(cls) or "").partition("\n")[0]
-        fields = [_parameter(field) for field in dataclasses.fields(cls)]  # type: ignore[arg-type]
-        sigma_bar = f"{models.create(name).sigma_bar:.6g}"
+        fields = [parameters.describe(field) for field in dataclasses.fields(cls)]  # type: ignore[arg-type]
+        sigma_bar = f"{models.create(name, **cls.examples[0]).sigma_bar:.6g}"
         separator = "\n" if console.is_terminal else ", "
         row = (name, law, separator.join(fields) or "none", sigma_bar)
         table.add_row(*(Text(cell) for cell in row))
@@ -287,15 +287,6 @@ def _models(_options: argparse.Namespace) -> int:
         Text("tau is optical depth, sigma_bar = -T'(0) at the default parameters."), style="dim"
     )
     return 0
-
-
-def _parameter(field: dataclasses.Field[Any]) -> str:
-    allowed = field.metadata.get("range")
-    doc = field.metadata.get("doc")
-    default = "" if field.default is dataclasses.MISSING else f" = {field.default:g}"
-    text = f"{field.name}{default}"
-    text += f" ({allowed})" if allowed else ""
-    return text + (f": {doc}" if doc else "")
 
 
 def _stdout() -> Console:

@@ -13,7 +13,7 @@ from typing import Any
 
 import drjit as dr
 
-__all__ = ["expm1", "filled", "log1p", "scaled_log1p", "select"]
+__all__ = ["expm1", "filled", "log1p", "scaled_log1p", "select", "with_derivative"]
 
 _LN2 = math.log(2.0)
 
@@ -36,7 +36,7 @@ def log1p(x: Any) -> Any:
     if not dr.is_array_v(x):
         return math.log1p(x) if x > -1 else (-math.inf if x == -1 else math.nan)
     value = _log1p_value(dr.detach(x))
-    return _with_derivative(value, (x, lambda v: dr.rcp(1 + v)))
+    return with_derivative(value, (x, lambda v: dr.rcp(1 + v)))
 
 
 def expm1(x: Any) -> Any:
@@ -50,7 +50,7 @@ def expm1(x: Any) -> Any:
         except OverflowError:
             return math.inf
     value = _expm1_value(dr.detach(x))
-    return _with_derivative(value, (x, dr.exp))
+    return with_derivative(value, (x, dr.exp))
 
 
 def scaled_log1p(tau: Any, alpha: Any) -> Any:
@@ -64,7 +64,7 @@ def scaled_log1p(tau: Any, alpha: Any) -> Any:
     tau_, alpha_ = dr.detach(tau), dr.detach(alpha)
     x = tau_ / alpha_
     value = alpha_ * _log1p_value(x)
-    return _with_derivative(
+    return with_derivative(
         value,
         (tau, lambda _: dr.rcp(1 + x)),
         (alpha, lambda _: _log1p_excess(x)),
@@ -83,11 +83,12 @@ def filled(like: Any, value: float) -> Any:
     return select(dr.isnan(like), like, value)
 
 
-# --------------------------------------------------------------------------------------------------
+def with_derivative(value: Any, *inputs: tuple[Any, Any]) -> Any:
+    """``value`` with the first derivatives ``d value / d input = derivative(input)`` attached.
 
-
-def _with_derivative(value: Any, *inputs: tuple[Any, Any]) -> Any:
-    """``value`` with the first derivatives ``d value / d input = derivative(input)`` attached."""
+    ``inputs`` are pairs (variable, derivative); ``derivative`` is called, with the detached
+    variable, only where gradients are enabled. The value itself must be detached.
+    """
     tangent: Any = 0.0
     for variable, derivative in inputs:
         if dr.is_diff_v(variable) and dr.grad_enabled(variable):
@@ -97,6 +98,9 @@ def _with_derivative(value: Any, *inputs: tuple[Any, Any]) -> Any:
     if not dr.is_array_v(tangent):
         return value
     return dr.replace_grad(type(tangent)(value), tangent)
+
+
+# --------------------------------------------------------------------------------------------------
 
 
 def _log1p_value(x: Any) -> Any:

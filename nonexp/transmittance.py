@@ -23,12 +23,11 @@ from __future__ import annotations
 import dataclasses
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from numbers import Real
 from typing import Any, ClassVar
 
-import drjit as dr
+from .parameters import kind_of
 
-__all__ = ["Draw", "Transmittance", "parameter"]
+__all__ = ["Draw", "Transmittance"]
 
 Draw = Callable[[], Any]
 """Returns the next uniform random number in [0, 1)."""
@@ -38,18 +37,34 @@ class Transmittance(ABC):
     """A transmittance law over optical depth.
 
     Concrete models are dataclasses with ``frozen=True, eq=False``; their fields are the parameters,
-    declared with :func:`parameter`, and are checked when a model is made. Values and arguments
-    are Python floats or Dr.Jit floating-point arrays, freely mixed.
+    declared with the functions of :mod:`nonexp.parameters`, and are checked when a model is made.
+    Values and arguments are Python floats or Dr.Jit floating-point arrays, freely mixed.
     """
 
     examples: ClassVar[tuple[dict[str, Any], ...]] = ({},)
-    """Parameters on which the test suite runs the model."""
+    """Parameters on which the test suite runs the model; the first are those that tables show,
+    the defaults where all parameters have one."""
 
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):  # type: ignore[arg-type]
-            check = field.metadata.get("check")
-            if check is not None:
-                check(f"{type(self).__name__}.{field.name}", getattr(self, field.name))
+            kind = kind_of(field)
+            if kind is None:
+                continue
+            value = getattr(self, field.name)
+            if value is None and kind.same_as is not None:
+                value = getattr(self, kind.same_as)
+            if value is None and field.metadata.get("required"):
+                raise ValueError(f"{type(self).__name__}.{field.name} is missing: {kind.doc}")
+            label = f"{type(self).__name__}.{field.name}"
+            object.__setattr__(self, field.name, kind.accept(label, value))
+        self.prepare()
+
+    def prepare(self) -> None:  # noqa: B027  (most models have nothing to prepare)
+        """Called once when all parameters are known.
+
+        For checks that concern several parameters (raising ``ValueError``), and for tables made
+        from them. Does nothing by default.
+        """
 
     @property
     @abstractmethod
@@ -63,6 +78,14 @@ class Transmittance(ABC):
         :meth:`pp` is the density of the rest.
         """
         return ()
+
+    @property
+    def kinks(self) -> tuple[Any, ...]:
+        """Optical depths, in ascending order, at which a density jumps or an atom sits.
+
+        What quadrature and plots should split at; nothing is computed from them.
+        """
+        return tuple(where for where, _ in self.atoms)
 
     @abstractmethod
     def ff(self, tau: Any) -> Any:
@@ -87,25 +110,3 @@ class Transmittance(ABC):
     @abstractmethod
     def sample_p(self, draw: Draw) -> Any:
         """Optical depth of the next collision after a collision."""
-
-
-def parameter(default: float, *, above: float = -dr.inf, doc: str = "") -> Any:
-    """A finite real parameter greater than ``above``, as a dataclass field.
-
-    Making a model with a value outside raises ``ValueError`` with the name, the value and the
-    allowed range. A Dr.Jit array passes if it holds one such number.
-    """
-    allowed = "a finite number" if above == -dr.inf else f"a finite number > {above:g}"
-
-    def check(name: str, value: Any) -> None:
-        number = value
-        if dr.is_array_v(value) and len(value) == 1:
-            number = dr.detach(value)[0]
-        if isinstance(number, bool) or not isinstance(number, Real):
-            raise ValueError(f"{name} is {value!r}: it must be {allowed}")
-        if not above < float(number) < dr.inf:
-            raise ValueError(f"{name} is {float(number):g}: it must be {allowed}")
-
-    limits = "" if above == -dr.inf else f"> {above:g}"
-    metadata = {"check": check, "range": limits, "doc": doc}
-    return dataclasses.field(default=default, metadata=metadata)

@@ -6,13 +6,14 @@ from typing import Any
 
 import mitsuba as mi
 
+import nonexp
+from nonexp import models
+
 MODELS: list[tuple[str, dict[str, Any]]]
 """Every model on each of its examples: (key, parameters)."""
 
 
 def _models() -> list[tuple[str, dict[str, Any]]]:
-    from nonexp import models
-
     return [(key, dict(p)) for key in models.names() for p in models.registry[key].examples]
 
 
@@ -21,12 +22,23 @@ MODELS = _models()
 
 def model_id(case: tuple[str, dict[str, Any]]) -> str:
     key, parameters = case
-    return "-".join([key, *(f"{k}={v:g}" for k, v in parameters.items())])
+    return "-".join([key, *(f"{k}={_brief(v)}" for k, v in parameters.items())])
+
+
+def _brief(value: Any) -> str:
+    if isinstance(value, (int, float)):
+        return f"{value:g}"
+    if isinstance(value, str):
+        return value.rpartition("/")[2]
+    if isinstance(value, nonexp.Transmittance):
+        return type(value).__name__
+    parts = [_brief(item) for item in value]
+    return ",".join(parts if len(parts) < 4 else [*parts[:3], f"..{len(parts)}"])
 
 
 def medium(model: str = "exponential", parameters: dict[str, Any] | None = None, **kw: Any) -> Any:
     """``nonexp_homogeneous`` with one transmittance."""
-    law = {"type": f"transmittance_{model}", **(parameters or {})}
+    law = models.to_dict(models.create(model, **(parameters or {})))
     return {"type": "nonexp_homogeneous", "transmittance": law, **kw}
 
 

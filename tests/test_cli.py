@@ -397,7 +397,10 @@ def test_models_lists_every_model(capsys: pytest.CaptureFixture[str]) -> None:
         (line,) = (line for line in lines if line.split()[0] == name)
         law = (models.registry[name].__doc__ or "").splitlines()[0]
         assert law in line
-        assert line.split()[-1] == f"{models.create(name).sigma_bar:.6g}"
+        assert (
+            line.split()[-1]
+            == f"{models.create(name, **models.registry[name].examples[0]).sigma_bar:.6g}"
+        )
     (gamma,) = (line for line in lines if line.startswith("gamma"))
     assert "alpha = 2 (> 0)" in gamma
 

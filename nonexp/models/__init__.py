@@ -20,7 +20,7 @@ from typing import Any, TypeVar
 
 from ..transmittance import Transmittance
 
-__all__ = ["create", "names", "register", "registry"]
+__all__ = ["create", "names", "register", "registry", "to_dict", "to_xml"]
 
 Model = TypeVar("Model", bound=type[Transmittance])
 
@@ -67,7 +67,8 @@ def names() -> list[str]:
 def create(name: str, **parameters: Any) -> Transmittance:
     """The model called ``name`` with the given parameters (defaults for the others).
 
-    Raises ``ValueError`` for an unknown model, an unknown parameter, or a value out of range.
+    Raises ``ValueError`` for an unknown model, an unknown or missing parameter, or a value out of
+    range.
     """
     try:
         cls = registry[name]
@@ -94,3 +95,5 @@ def _register_package() -> None:
 
 
 _register_package()
+
+from ..notation import to_dict, to_xml  # noqa: E402  (these read the registry)

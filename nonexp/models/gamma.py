@@ -6,7 +6,8 @@ from typing import Any, ClassVar
 import drjit as dr
 
 from ..numerics import expm1, log1p, scaled_log1p
-from ..transmittance import Draw, Transmittance, parameter
+from ..parameters import parameter
+from ..transmittance import Draw, Transmittance
 
 
 @dataclass(frozen=True, eq=False)

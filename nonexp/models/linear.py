@@ -6,7 +6,8 @@ from typing import Any, ClassVar
 import drjit as dr
 
 from ..numerics import filled, select
-from ..transmittance import Draw, Transmittance, parameter
+from ..parameters import parameter
+from ..transmittance import Draw, Transmittance
 
 
 @dataclass(frozen=True, eq=False)
