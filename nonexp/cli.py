@@ -8,6 +8,7 @@ import dataclasses
 import datetime
 import inspect
 import json
+import math
 import platform
 import re
 import sys
@@ -33,6 +34,8 @@ examples:
   nonexp render scenes/dragon.xml
   nonexp render scenes/dragon.xml -D medium=gamma -D alpha=0.5 --spp 256 -o gamma.exr
   nonexp models
+  nonexp plot gamma alpha=0.5 -o gamma.svg
+  nonexp fit data.csv --model gamma --model linear -o fit.png
   nonexp doctor
 """
 
@@ -97,7 +100,7 @@ def _parser() -> Parser:
     render.add_argument(
         "-D",
         dest="parameters",
-        type=_definition,
+        type=_definition("medium=gamma"),
         action="append",
         default=[],
         metavar="key=value",
@@ -111,6 +114,8 @@ def _parser() -> Parser:
         description="List the transmittance models with their parameters.",
     )
     models.set_defaults(run=_models)
+    _add_plot(commands)
+    _add_fit(commands)
     doctor = commands.add_parser(
         "doctor",
         help="check whether this machine can render",
@@ -118,6 +123,74 @@ def _parser() -> Parser:
     )
     doctor.set_defaults(run=_doctor)
     return parser
+
+
+def _add_plot(commands: Any) -> None:
+    plot = commands.add_parser(
+        "plot",
+        help="draw a transmittance model",
+        description="Draw the transmittances and densities of a model over optical depth, beside "
+        "the exponential law of the same mean extinction, and histograms of what it samples. "
+        "Needs matplotlib.",
+    )
+    plot.add_argument("model", metavar="MODEL", help="one of those that `nonexp models` lists")
+    plot.add_argument(
+        "parameters",
+        nargs="*",
+        type=_definition("alpha=0.5"),
+        default=[],
+        metavar="key=value",
+        help="parameter of the model, such as alpha=0.5 or sigma=0.2,1.8",
+    )
+    plot.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        metavar="OUT.png",
+        help="PNG, SVG or PDF by its suffix (default: MODEL.png)",
+    )
+    plot.set_defaults(run=_plot)
+
+
+def _add_fit(commands: Any) -> None:
+    fit = commands.add_parser(
+        "fit",
+        help="fit models to a measured transmittance",
+        description="Fit the parameters of a model to a transmittance over distance, by least "
+        "squares, and print what a scene's medium needs. DATA is a table with the columns "
+        "distance (or optical depth), transmittance and, if known, its standard deviation, as "
+        "text or as NPZ with arrays tau, ff and sigma. Several models are compared by AIC, "
+        "Akaike's information criterion: the one with the least is the best.",
+    )
+    fit.add_argument("data", type=Path, metavar="DATA.csv", help="table: distance, ff [, sigma]")
+    fit.add_argument(
+        "--model",
+        dest="models",
+        action="append",
+        metavar="MODEL",
+        help="may be repeated; all (the default) tries every model",
+    )
+    for flag, does in (("--fix", "hold a parameter there"), ("--start", "start the search there")):
+        fit.add_argument(
+            flag,
+            type=_definition("alpha=0.5"),
+            action="append",
+            default=[],
+            metavar="key=value",
+            help=f"{does}, as in alpha=0.5; may be repeated",
+        )
+    fit.add_argument(
+        "--sigma-t",
+        type=_sigma_t,
+        default="auto",
+        metavar="VALUE",
+        help="extinction that turns distance into optical depth: a number, fit, or auto (default: "
+        "fitted, but 1 for models whose parameters are lengths or extinctions themselves)",
+    )
+    fit.add_argument(
+        "-o", "--output", type=Path, metavar="OUT.png", help="also draw data, fits and residuals"
+    )
+    fit.set_defaults(run=_fit)
 
 
 # --------------------------------------------------------------------- arguments
@@ -143,11 +216,26 @@ def _size(text: str) -> tuple[int, int]:
     return int(match[1]), int(match[2])
 
 
-def _definition(text: str) -> tuple[str, str]:
-    name, equals, value = text.partition("=")
-    if not equals or not re.fullmatch(r"\w+", name):
-        raise argparse.ArgumentTypeError(f"is {text!r}: it must be key=value, as in medium=gamma")
-    return name, value
+def _definition(example: str) -> Any:
+    def parse(text: str) -> tuple[str, str]:
+        name, equals, value = text.partition("=")
+        if not equals or not re.fullmatch(r"\w+", name):
+            raise argparse.ArgumentTypeError(f"is {text!r}: it must be key=value, as in {example}")
+        return name, value
+
+    return parse
+
+
+def _sigma_t(text: str) -> float | str:
+    if text in ("auto", "fit"):
+        return text
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1
+    if not 0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f"is {text!r}: it must be a number > 0, fit, or auto")
+    return value
 
 
 # --------------------------------------------------------------------- nonexp render
@@ -296,6 +384,25 @@ def _stdout() -> Console:
     if sys.stdout.isatty():
         return Console(highlight=False)
     return Console(width=10_000, highlight=False, no_color=True, force_terminal=False)
+
+
+# --------------------------------------------------------------------- nonexp plot, nonexp fit
+
+
+def _plot(options: argparse.Namespace) -> int:
+    from . import cli_models
+
+    with _one_sentence():
+        print(cli_models.plot(options))
+    return 0
+
+
+def _fit(options: argparse.Namespace) -> int:
+    from . import cli_models
+
+    with _one_sentence():
+        cli_models.fit(options, _stdout())
+    return 0
 
 
 # --------------------------------------------------------------------- nonexp doctor

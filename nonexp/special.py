@@ -28,7 +28,7 @@ def poisson_sum(x: Any, weights: Sequence[float]) -> Any:
     """
     # e^-x is spent in equal parts: one before the sum so that it stays below the largest float
     # (e^85 for 64 weights), the others after it so that none underflows on its own.
-    parts = 1 if len(weights) <= 5 else 4
+    parts = 1 if len(weights) == 1 else 2 if len(weights) <= 5 else 4
     single = dr.is_array_v(x) and dr.type_v(x) == dr.VarType.Float32
     x = dr.minimum(x, 260.0 if single else 2800.0)  # there the result is 0
     part = dr.exp(-x / parts)

@@ -2,25 +2,53 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 
 import nonexp
 from nonexp import models
 
-MODELS: list[tuple[str, dict[str, Any]]]
-"""Every model on each of its examples: (key, parameters)."""
+Case = tuple[str, dict[str, Any]]
+"""A model to test: key, parameters."""
 
 
-def _models() -> list[tuple[str, dict[str, Any]]]:
+def law(case: Case) -> Any:
+    key, parameters = case
+    return models.create(key, **parameters)
+
+
+def _examples() -> list[Case]:
     return [(key, dict(p)) for key in models.names() for p in models.registry[key].examples]
 
 
-MODELS = _models()
+def _one_of_each_kind(cases: list[Case]) -> list[Case]:
+    """Of each model the first example, the first of another mean extinction than 1 (where forgotten
+    factors show), and the first that lets light through for ever."""
+    chosen: dict[Any, Case] = {}
+    for case in cases:
+        model = law(case)
+        kind = "clear" if model.ff(dr.inf) > 0 else float(model.sigma_bar) == 1
+        chosen.setdefault((case[0], kind), case)
+    return list(chosen.values())
 
 
-def model_id(case: tuple[str, dict[str, Any]]) -> str:
+def heavy_tailed(model: nonexp.Transmittance) -> bool:
+    """The fourth moment of flights is infinite, as far as one can tell."""
+    scale = 1e6 / (float(model.sigma_bar) or 1.0)
+    return 1e24 * float(model.fp(scale)) * scale > 1e-3
+
+
+MODELS = _examples()
+"""Every model on each of its examples."""
+
+RENDERED = _one_of_each_kind(MODELS)
+"""Those that are rendered without --full: each model, and each kind of law that it can be."""
+
+
+def model_id(case: Case) -> str:
     key, parameters = case
     return "-".join([key, *(f"{k}={_brief(v)}" for k, v in parameters.items())])
 
@@ -51,14 +79,15 @@ def look_at(origin: list[float], target: list[float]) -> Any:
     return mi.ScalarTransform4f().look_at(origin, target, [0, 1, 0])
 
 
-def orthographic(width: float = 1.0, distance: float = 5.0) -> dict[str, Any]:
-    """Parallel rays along -z over the square of half-width ``width``."""
-    scale = mi.ScalarTransform4f().scale([width, width, 1])
-    to_world = look_at([0, 0, distance], [0, 0, 0]) @ scale
+def orthographic(
+    width: float = 1.0, distance: float = 5.0, side: tuple[float, float, float] = (0, 0, 1)
+) -> dict[str, Any]:
+    """Parallel rays from one side over the square of half-width ``width`` around the origin."""
+    to_world = look_at([distance * x for x in side], [0, 0, 0])
     near = 0.01 * min(distance, 1)
     return {
         "type": "orthographic",
-        "to_world": to_world,
+        "to_world": to_world @ mi.ScalarTransform4f().scale([width, width, 1]),
         "near_clip": near,
         "film": square_film(),
     }
@@ -93,6 +122,53 @@ def ball(inside: Any, bsdf: str | dict[str, Any] = "null", radius: float = 1.0) 
     bsdf = {"type": bsdf} if isinstance(bsdf, str) else bsdf
     return {"type": "sphere", "radius": radius, "bsdf": bsdf, "interior": inside}
 
+
+def box(inside: Any, low: list[float], high: list[float]) -> dict[str, Any]:
+    """An index-matched cuboid between two corners, filled with a medium."""
+    half = [(b - a) / 2 for a, b in zip(low, high, strict=True)]
+    middle = [(b + a) / 2 for a, b in zip(low, high, strict=True)]
+    to_world = mi.ScalarTransform4f().translate(middle).scale(half)
+    return {"type": "cube", "to_world": to_world, "bsdf": {"type": "null"}, "interior": inside}
+
+
+def recorder(*measures: Callable[[Any], Any]) -> Any:
+    """An isotropic phase function that counts collisions and sums ``measures`` of their positions.
+
+    ``sums()`` has shape (1 + measures, batches): paths are in batches by the time at which they
+    start, so that a sensor with ``**SHUTTER`` fills all alike. ``clear()`` sets them to zero.
+    """
+    batches = 64
+
+    class Recorder(mi.PhaseFunction):
+        def __init__(self, props: Any) -> None:
+            super().__init__(props)
+            self.m_flags = mi.PhaseFunctionFlags.Isotropic
+            self.clear()
+
+        def clear(self) -> None:
+            self.array = dr.zeros(mi.Float64, (1 + len(measures)) * batches)
+
+        def sums(self) -> Any:
+            return self.array.numpy().reshape(1 + len(measures), batches)
+
+        def sample(self, _context: Any, mei: Any, _u: Any, u: Any, active: Any = True) -> Any:
+            batch = dr.minimum(mi.UInt32(mei.time * batches), batches - 1)
+            for i, value in enumerate([1.0, *(measure(mei.p) for measure in measures)]):
+                value, index = mi.Float64(value), batch + i * batches
+                dr.scatter_reduce(dr.ReduceOp.Add, self.array, value, index, active)
+            wo = mi.warp.square_to_uniform_sphere(u)
+            return wo, mi.Spectrum(1), mi.warp.square_to_uniform_sphere_pdf(wo)
+
+        def eval_pdf(self, _context: Any, _mei: Any, wo: Any, _active: Any = True) -> Any:
+            pdf = mi.warp.square_to_uniform_sphere_pdf(wo)
+            return mi.Spectrum(pdf), pdf
+
+    mi.register_phase("recorder", Recorder)
+    return mi.load_dict({"type": "recorder"})
+
+
+SHUTTER = {"shutter_open": 0.0, "shutter_close": 1.0}
+"""Of a sensor: rays start at any time in [0, 1]."""
 
 FURNACE = {"type": "constant"}
 """Constant environment of radiance 1."""

@@ -18,7 +18,7 @@ PASSES = 64
 
 FALSE_ALARM = 1e-5
 """Chance that one comparison fails although nothing is wrong. The whole suite makes fewer than
-500 comparisons: all together cry wolf with a probability below 0.5 %."""
+2000 comparisons: all together cry wolf with a probability below 2 %."""
 
 
 def radiance(scene: Any, count: int, seed: int, grid: int = 1) -> Any:
@@ -74,10 +74,13 @@ def assert_same(a: Any, b: Any, within: float) -> None:
     )
 
 
-def assert_mean(samples: Any, expected: float, within: float) -> None:
-    """The mean of independent samples is ``expected``; power as in :func:`assert_same`."""
+def assert_mean(samples: Any, expected: float, within: float, rounding: float = 1e-7) -> None:
+    """The mean of independent samples is ``expected``; power as in :func:`assert_same`.
+
+    ``rounding`` adds a fraction of the mean to its standard error.
+    """
     mean = np.mean(samples)
-    error = np.std(samples) / np.sqrt(np.size(samples) - 1) + 1e-7 * abs(mean)
+    error = np.std(samples) / np.sqrt(np.size(samples) - 1) + rounding * abs(mean)
     assert error <= within * abs(expected) / 7, f"too weak: error {error / expected:.2%}"
     score = (mean - expected) / error
     assert abs(score) < stats.norm.isf(FALSE_ALARM / 2), (

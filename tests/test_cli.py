@@ -16,7 +16,7 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from nonexp import __version__, cli, models, output, rendering, scenefile
+from nonexp import __version__, cli, fitting, models, output, rendering, scenefile
 
 SCENE = """
 <scene version="3.0.0">
@@ -385,6 +385,175 @@ def test_a_missing_llvm_is_told_with_what_to_install(folder: Path, command: str)
     assert result.returncode == 2 or "cuda" in result.stdout
 
 
+# --------------------------------------------------------------------- nonexp plot, nonexp fit
+
+Command = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Command:
+    """Run a command line in this process, in a folder with data."""
+    x = np.linspace(0, 4, 40)
+    ff = (1 + 2 * x / 0.5) ** -0.5 + 0.004 * np.random.default_rng(5).normal(size=40)
+    columns = np.stack([x, ff, np.full(40, 0.004)], axis=1)
+    np.savetxt(tmp_path / "data.csv", columns[:, :2], delimiter=",", header="distance,ff")
+    np.savetxt(tmp_path / "weighted.txt", columns)
+    np.savez(tmp_path / "data.npz", tau=x, ff=ff)
+    (tmp_path / "bad.csv").write_text("1,0.5\n2,half\n")
+    (tmp_path / "two.csv").write_text("1,0.5\n")
+    (tmp_path / "old.png").write_text("old")
+    (tmp_path / "dir.png").mkdir()
+    monkeypatch.chdir(tmp_path)
+
+    def call(*arguments: str) -> tuple[int, str, str]:
+        code = cli.main(arguments)
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    return call
+
+
+@pytest.mark.parametrize("data", ["data.csv", "weighted.txt", "data.npz"])
+def test_fit_prints_parameters_with_errors_and_the_xml(command: Command, data: str) -> None:
+    code, out, err = command("fit", data, "--model", "gamma")
+    assert (code, err) == (0, "")
+    assert "\x1b" not in out
+    assert re.search(r"^gamma +value +standard error$", out, re.MULTILINE)
+    alpha = re.search(r"^alpha +(0\.\d+) +(0\.00\d+)$", out, re.MULTILINE)
+    sigma_t = re.search(r"^sigma_t +(\d\.\d+) +(0\.0\d+)$", out, re.MULTILINE)
+    assert alpha and abs(float(alpha[1]) - 0.5) < 4 * float(alpha[2])
+    assert sigma_t and abs(float(sigma_t[1]) - 2) < 4 * float(sigma_t[2])
+    assert re.search(r"^rms residual 0\.00\d+ over 40 points", out, re.MULTILINE)
+    assert ("chi2" in out) == (data == "weighted.txt")
+    pasted = out[out.index("<float") :]
+    assert re.fullmatch(
+        r'<float name="sigma_t" value="[\d.]+"/>\n'
+        r'<texture type="transmittance_gamma" name="transmittance">\n'
+        r'    <float name="alpha" value="[\d.]+"/>\n</texture>\n',
+        pasted,
+    )
+
+
+@pytest.mark.parametrize("chosen", [("linear", "gamma", "exponential"), ("all",), ()])
+def test_fit_compares_models_best_first(command: Command, chosen: tuple[str, ...]) -> None:
+    options = [word for name in chosen for word in ("--model", name)]
+    code, out, err = command("fit", "data.csv", *options, "--fix", "b=3")
+    assert (code, err) == (0, "")
+    table = out.partition("\n\n")[0].splitlines()
+    assert table[0].split() == "model parameters sigma_t rms residual AIC - best".split()
+    order = [row.split()[0] for row in table[1:]]
+    compared = [name for name in order if name in ("gamma", "exponential", "linear")]
+    assert compared == ["gamma", "exponential", "linear"]
+    differences = [float(row.split()[-1]) for row in table[1:] if not row.startswith("not")]
+    assert differences == sorted(differences) and differences[0] == 0
+    assert (len(differences) > 8) == (not chosen or chosen == ("all",))
+    assert ("not fitted: constant" in out) == (len(differences) > 8)
+    assert f'"transmittance_{order[0]}"' in out
+
+
+def test_fit_holds_what_it_is_told(command: Command) -> None:
+    _, out, _ = command("fit", "data.csv", "--model", "gamma", "--fix", "alpha=0.7")
+    assert re.search(r"^alpha +0\.7 *$", out, re.MULTILINE)
+    assert '<float name="alpha" value="0.7"/>' in out
+    _, out, _ = command("fit", "data.csv", "--model", "gamma", "--sigma-t", "1.5")
+    assert '<float name="sigma_t" value="1.5"/>' in out
+    _, out, _ = command("fit", "data.csv", "--model", "linear", "--sigma-t", "fit")
+    assert '<float name="b" value="1.0"/>' in out
+    start = "sigma=0.1,1,9"
+    _, out, _ = command("fit", "data.csv", "--model", "exponential_mixture", "--start", start)
+    assert re.search(r"^weight\[2\] ", out, re.MULTILINE)
+
+
+def test_fit_draws_the_result(command: Command, tmp_path: Path) -> None:
+    code, out, _ = command("fit", "data.csv", "--model", "gamma", "-o", "old.png")
+    assert code == 0 and out.endswith("\nold.png\n")
+    assert (tmp_path / "old.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "written"),
+    [
+        (["gamma"], "gamma.png"),
+        (["gamma", "alpha=0.5", "-o", "old.png"], "old.png"),
+        (["exponential_mixture", "sigma=0.2,1.8", "-o", "figure.svg"], "figure.svg"),
+        (["erlang", "k=3", "-o", "figure.pdf"], "figure.pdf"),
+        (["custom", "ff=nonexp.models.custom:wigner"], "custom.png"),
+    ],
+)
+def test_plot_draws_a_model(
+    command: Command, tmp_path: Path, arguments: list[str], written: str
+) -> None:
+    before = {path.name for path in tmp_path.iterdir()}
+    assert command("plot", *arguments) == (0, f"{written}\n", "")
+    assert {path.name for path in tmp_path.iterdir()} == before | {written}
+    assert (tmp_path / written).stat().st_size > 5000
+
+
+MODEL_ERRORS: dict[str, tuple[list[str], str]] = {
+    "plot": (["plot"], "the following arguments are required: MODEL"),
+    "plot model": (["plot", "gama"], "model is 'gama': it must be one of "),
+    "plot key": (["plot", "gamma", "b=1"], "gamma has no parameter 'b': its parameters are alpha"),
+    "plot value": (["plot", "gamma", "alpha=0"], "Gamma.alpha is 0: it must be "),
+    "plot word": (["plot", "gamma", "alpha=x"], "Gamma.alpha is 'x': it must be "),
+    "plot pair": (["plot", "gamma", "alpha"], "is 'alpha': it must be key=value, as in alpha=0.5"),
+    "plot suffix": (["plot", "gamma", "-o", "a.exr"], "output is 'a.exr': it must end in .png, "),
+    "plot folder": (["plot", "gamma", "-o", "no/a.png"], "its folder 'no' does not exist"),
+    "plot on a folder": (["plot", "gamma", "-o", "dir.png"], "output is 'dir.png': it is a folder"),
+    "no data": (["fit", "gone.csv", "--model", "gamma"], "'gone.csv' does not exist"),
+    "data": (["fit", "bad.csv", "--model", "gamma"], "bad.csv, line 2: 'half' is not a number"),
+    "few data": (["fit", "two.csv", "--model", "gamma"], r"than there are points \(1\)"),
+    "fit model": (["fit", "data.csv", "--model", "gama"], "model is 'gama': it must be one of"),
+    "fit models": (
+        ["fit", "data.csv", "--model", "gamma", "--model", "gama"],
+        "model is 'gama': it must be one of",
+    ),
+    "refusal": (["fit", "data.csv", "--model", "constant"], "constant does not depend on tau"),
+    "one refuses": (
+        ["fit", "data.csv", "--model", "gamma", "--model", "custom"],
+        "custom: Custom.ff is missing",
+    ),
+    "fixed": (
+        ["fit", "data.csv", "--model", "gamma", "--fix", "b=1"],
+        "gamma has no parameter 'b'",
+    ),
+    "fixed for none": (
+        ["fit", "data.csv", "--model", "gamma", "--model", "exponential", "--fix", "b=1"],
+        "none of the models to fit has a parameter 'b'",
+    ),
+    "pair": (["fit", "data.csv", "--fix", "b"], "--fix is 'b': it must be key=value"),
+    "sigma_t": (["fit", "data.csv", "--sigma-t", "-1"], "--sigma-t is '-1': it must be a number"),
+    "sigma_t word": (["fit", "data.csv", "--sigma-t", "no"], "--sigma-t is 'no': .* fit, or auto"),
+    "fit suffix": (["fit", "data.csv", "-o", "a.exr"], "output is 'a.exr': it must end in .png"),
+}
+
+
+@pytest.mark.parametrize("case", MODEL_ERRORS)
+def test_errors_of_plot_and_fit_are_one_sentence(
+    command: Command, tmp_path: Path, case: str
+) -> None:
+    before = sorted(tmp_path.rglob("*"))
+    arguments, message = MODEL_ERRORS[case]
+    code, out, err = command(*arguments)
+    assert (code, out) == (2, "")
+    assert re.match(f"nonexp: error: .*{message}", err)
+    assert err.count("\n") == 1
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize("arguments", [("plot", "gamma"), ("fit", "data.csv", "-o", "a.png")])
+def test_without_matplotlib_nothing_is_computed(
+    command: Command, monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...]
+) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    monkeypatch.setattr(fitting, "compare", lambda *_, **__: pytest.fail("it was fitted"))
+    code, out, err = command(*arguments)
+    assert (code, out) == (2, "")
+    why = "plots need matplotlib, which is not installed: pip install 'nonexp[plot]'"
+    assert err == f"nonexp: error: {why}\n"
+
+
 # --------------------------------------------------------------------- other commands
 
 
@@ -418,7 +587,7 @@ def test_help_and_version() -> None:
     assert (shown.returncode, shown.stdout) == (0, f"nonexp {__version__}\n")
     shown = subcommand("--help")
     assert shown.returncode == 0
-    for command in ("render", "models", "doctor"):
+    for command in ("render", "models", "plot", "fit", "doctor"):
         assert command in shown.stdout
 
 
