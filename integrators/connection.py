@@ -121,7 +121,7 @@ def _walk(
             length = dr.select(hit, dr.dot(si.p - s.start, ds.d), remaining(s))
             inside = s.active & media.inside(s.location)
             tau = optical_depth(media.sigma_t(s.location, sight(vertex, ds.d)), length)
-            s.tau = dr.select(inside, s.tau + tau, s.tau)
+            s.tau = type(s.tau)(dr.select(inside, s.tau + tau, s.tau))
             if media.tracks:
                 tracked = inside & media.tracked(s.location)
                 onward = mi.Ray3f(s.start, ds.d, vertex.time, vertex.wavelengths)
@@ -132,7 +132,7 @@ def _walk(
             left = beyond != s.location
             survival = media.survival(s.location, s.from_particle, s.tau)
             s.transmittance = dr.select(left & inside, s.transmittance * survival, s.transmittance)
-            s.tau = dr.select(left, 0, s.tau)
+            s.tau = type(s.tau)(dr.select(left, 0, s.tau))
             s.from_particle &= ~left
             s.location = beyond
             s.start = si.p

@@ -76,7 +76,7 @@ class Entry:
 
         def of(tau: Any, own: Any) -> Any:
             density = own * dr.select(from_particle, model.pp(tau), model.fp(tau))
-            density = dr.select(atom, dr.select(own == 1, 1, 0), density)
+            density = dr.select(atom, dr.select(own == 1, mi.Float(1), 0), density)
             return dr.select(collided, density, self.survival(from_particle, tau))
 
         return mi.UnpolarizedSpectrum([of(t, o) for t, o in zip(tau, own, strict=True)])
@@ -174,6 +174,6 @@ def _stock_extinction(medium: Any, chromatic: bool) -> Callable[[Any], Any]:
 def _stock_albedo(medium: Any) -> Callable[..., Any]:
     def albedo(mei: Any, active: Any = True) -> Any:
         sigma_s, _, sigma_t = medium.get_scattering_coefficients(mei, active)
-        return dr.select(sigma_t > 0, sigma_s / sigma_t, 0)
+        return mi.UnpolarizedSpectrum(dr.select(sigma_t > 0, sigma_s / sigma_t, 0))
 
     return albedo

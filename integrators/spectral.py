@@ -39,4 +39,5 @@ def balanced(balance: Any, densities: Any) -> Any:
     mean = dr.mean(product)
     # By rounding, no channel may seem able to do what the hero did.
     possible = (mean > 0) & dr.isfinite(mean)
-    return dr.select(possible, product / dr.select(possible, mean, 1), balance)
+    result = dr.select(possible, product / dr.select(possible, mean, 1), balance)
+    return mi.UnpolarizedSpectrum(result)

@@ -49,9 +49,8 @@ def next_collision(
         own = at_channel(sigma_t, hero) if media.chromatic else sigma_t[0]
         real = s.stepping & (sampler.next_1d(s.stepping) * majorant < own)
         if media.chromatic:
-            s.weight = dr.select(
-                s.stepping, balanced(s.weight, dr.select(real, sigma_t, sigma_n)), s.weight
-            )
+            balance = balanced(s.weight, dr.select(real, sigma_t, sigma_n))
+            s.weight = mi.UnpolarizedSpectrum(dr.select(s.stepping, balance, s.weight))
         s.collided |= real
         s.stepping &= ~real
         return sampler, s
@@ -74,7 +73,8 @@ def transmittance(
         s.t = s.t - log1p(-sampler.next_1d(s.stepping)) / majorant
         s.stepping &= s.t < far
         sigma_n, _ = media.coefficients(location, _at(ray, s.t), s.stepping)
-        s.weight = dr.select(s.stepping, s.weight * (sigma_n / majorant), s.weight)
+        weight = s.weight * (sigma_n / majorant)
+        s.weight = mi.UnpolarizedSpectrum(dr.select(s.stepping, weight, s.weight))
         s.stepping &= dr.any(s.weight != 0)
         return sampler, s
 

@@ -269,8 +269,11 @@ class NonexpVolpath(mi.SamplingIntegrator):
                     s.drawn, s.flown = drawn, dr.select(s.fresh, 0, reached)
                     balance = dr.select(s.fresh, balance, s.balance)
                 if chromatic:
-                    s.balance = balance
-                s.from_particle = collided
+                    s.balance = mi.UnpolarizedSpectrum(balance)
+                if null and chromatic:
+                    s.from_particle = dr.select(s.fresh, collided, s.from_particle)
+                else:
+                    s.from_particle = collided
                 s.location = beyond
             if null:
                 s.vertex = dr.select(scattered, p, s.vertex)
