@@ -107,6 +107,8 @@ class NonexpVolpath(mi.SamplingIntegrator):
         start = media.at(mi.MediumPtr(medium)) if media else None
         chromatic = media is not None and media.chromatic
         hero = draw_channel(sampler.next_1d()) if chromatic else None
+        collisions_connect = media is not None and media.connects
+        connections = needs.emitters and (needs.smooth_surfaces or collisions_connect)
         path = _Path(
             active=mi.Bool(active) & (self.max_depth > 0),
             depth=mi.UInt32(0),
@@ -187,12 +189,14 @@ class NonexpVolpath(mi.SamplingIntegrator):
                 lit = on_surface & (emitter != None)  # noqa: E711
                 if self.hide_emitters:
                     lit &= s.depth > 0
-                reference = dr.zeros(mi.Interaction3f)
-                reference.p = s.vertex if null else s.o
-                hit = mi.DirectionSample3f(scene, si, reference)
-                other_pdf = scene.pdf_emitter_direction(reference, hit, lit & ~s.certain)
-                weight = dr.select(s.certain, 1, _power_heuristic(s.pdf, other_pdf))
                 emitted = emitter.eval(si, lit)
+                weight = mi.Float(1)
+                if connections:
+                    reference = dr.zeros(mi.Interaction3f)
+                    reference.p = s.vertex if null else s.o
+                    hit = mi.DirectionSample3f(scene, si, reference)
+                    other_pdf = scene.pdf_emitter_direction(reference, hit, lit & ~s.certain)
+                    weight = dr.select(s.certain, 1, _power_heuristic(s.pdf, other_pdf))
                 s.radiance = dr.select(
                     lit, dr.fma(carried, emitted * weight, s.radiance), s.radiance
                 )
@@ -205,13 +209,15 @@ class NonexpVolpath(mi.SamplingIntegrator):
                 0, time, wavelengths, p, dr.select(collided, 0, si.n) if media else si.n
             )
             last = s.depth + 1 >= self.max_depth
-            smooth = on_surface & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
             wo = mi.Vector3f(0, 0, 1)
-            if needs.emitters:
-                connecting = smooth & ~last
-                if media and media.some_sealed:
-                    connecting &= ~media.sealed(s.location) | si.is_medium_transition()
-                if media and media.connects:
+            if connections:
+                connecting = mi.Bool(False)
+                if needs.smooth_surfaces:
+                    smooth = mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
+                    connecting = on_surface & smooth & ~last
+                    if media and media.some_sealed:
+                        connecting &= ~media.sealed(s.location) | si.is_medium_transition()
+                if collisions_connect:
                     connecting |= collided & ~last & media.collision_connects(s.location)
                 if media and needs.smooth_boundaries:
                     leaving = partial(media.behind, si, on_surface, s.location)
@@ -241,8 +247,8 @@ class NonexpVolpath(mi.SamplingIntegrator):
                 d = dr.select(collided, scatter.wo, d)
                 pdf = dr.select(collided, scatter.wo_pdf, pdf)
                 certain = dr.select(collided, ~media.collision_connects(s.location), certain)
-            if needs.emitters:
-                other_pdf = dr.select(ds.delta, 0, value_pdf)
+            if connections:
+                other_pdf = dr.select(ds.delta, 0, value_pdf) if needs.delta_emitters else value_pdf
                 contribution = carried * value * light * _power_heuristic(ds.pdf, other_pdf)
                 s.radiance = dr.select(connecting, s.radiance + contribution, s.radiance)
 
