@@ -81,6 +81,14 @@ class Entry:
 
         return mi.UnpolarizedSpectrum([of(t, o) for t, o in zip(tau, own, strict=True)])
 
+    def bounds(self, ray: Any) -> tuple[Any, Any, Any]:
+        """For tracking: where a ray enters and leaves, and the majorant. Nothing here."""
+        return mi.Float(0), mi.Float(-1), mi.Float(1)
+
+    def coefficients(self, mei: Any, active: Any) -> tuple[Any, Any]:
+        """For tracking: coefficients of null collisions and of extinction."""
+        return mi.UnpolarizedSpectrum(0), mi.UnpolarizedSpectrum(0)
+
     def scatter(self, mei: Any, wo: Any, u1: Any, u2: Any, active: Any) -> Scatter:
         """Phase function towards ``wo`` and a sampled direction, at collisions ``mei``."""
         context, phase = mi.PhaseFunctionContext(None), self.pointer.phase_function()
@@ -107,13 +115,11 @@ class Tracked(Entry):
         return mi.UnpolarizedSpectrum(1)
 
     def bounds(self, ray: Any) -> tuple[Any, Any, Any]:
-        """Where a ray enters and leaves the medium's data, and the majorant of extinction."""
         meets, near, far = self.pointer.intersect_aabb(ray)
         majorant = self.pointer.get_majorant(dr.zeros(mi.MediumInteraction3f))[0]
         return dr.maximum(near, 0), dr.select(meets, far, -1), majorant
 
     def coefficients(self, mei: Any, active: Any) -> tuple[Any, Any]:
-        """Coefficients of null collisions and of extinction."""
         _, sigma_n, sigma_t = self.pointer.get_scattering_coefficients(mei, active)
         return sigma_n, sigma_t
 
@@ -131,7 +137,9 @@ def entry_of(pointer: Any, sealed: bool) -> Entry | None:
         albedo = _stock_albedo(pointer)
         if not pointer.is_homogeneous():
             return _tracked(pointer, model, albedo, sealed)
-        oriented = bool(mi.has_flag(pointer.phase_function().flags(), mi.PhaseFunctionFlags.Microflake))
+        oriented = bool(
+            mi.has_flag(pointer.phase_function().flags(), mi.PhaseFunctionFlags.Microflake)
+        )
         chromatic = not grey(np.array(dr.detach(_majorant_of(pointer, visible()))))
         extinction = _stock_extinction(pointer, chromatic)
     constant = not oriented and not (chromatic and mi.is_spectral)

@@ -87,7 +87,7 @@ class Media(ABC):
 
     @abstractmethod
     def survival(self, location: Any, from_particle: Any, tau: Any) -> Any:
-        """Transmittance over ``tau``: pf from a particle, ff from a fixed point; 1 where tracked."""
+        """Transmittance over ``tau``: pf from a particle, else ff; 1 where flights are tracked."""
 
     @abstractmethod
     def densities(
@@ -251,8 +251,7 @@ class ManyMedia(Media):
     def bounds(self, location: Any, ray: Any) -> tuple[Any, Any, Any]:
         def call(entry: Entry) -> Callable[..., Any]:
             def bounds(ray: Any, active: Any) -> Any:
-                nothing = mi.Float(0), mi.Float(-1), mi.Float(1)
-                return entry.bounds(ray) if isinstance(entry, Tracked) else nothing
+                return entry.bounds(ray)
 
             return bounds
 
@@ -262,9 +261,7 @@ class ManyMedia(Media):
     def coefficients(self, location: Any, mei: Any, active: Any) -> tuple[Any, Any]:
         def call(entry: Entry) -> Callable[..., Any]:
             def coefficients(mei: Any, active: Any) -> Any:
-                if isinstance(entry, Tracked):
-                    return entry.coefficients(mei, active)
-                return mi.UnpolarizedSpectrum(0), mi.UnpolarizedSpectrum(0)
+                return entry.coefficients(mei, active)
 
             return coefficients
 

@@ -105,9 +105,9 @@ class NonexpVolpath(mi.SamplingIntegrator):
         media = scene_media(needs)
         null = needs.null_surfaces
         start = media.at(mi.MediumPtr(medium)) if media else None
-        chromatic = media is not None and media.chromatic
+        chromatic = bool(media and media.chromatic)
         hero = draw_channel(sampler.next_1d()) if chromatic else None
-        collisions_connect = media is not None and media.connects
+        collisions_connect = bool(media and media.connects)
         connections = needs.emitters and (needs.smooth_surfaces or collisions_connect)
         path = _Path(
             active=mi.Bool(active) & (self.max_depth > 0),
@@ -169,11 +169,13 @@ class NonexpVolpath(mi.SamplingIntegrator):
             else:
                 collided, on_surface, p = mi.Bool(False), s.active, si.p
             carried = s.throughput
-            if chromatic:
+            if media and chromatic:
                 reached = si.t + gap + s.flown if null else si.t + gap
                 relative = extinction / dr.select(sigma_t > 0, sigma_t, 1)
                 depths = dr.select(
-                    collided, relative * (drawn if null else tau), optical_depth(extinction, reached)
+                    collided,
+                    relative * (drawn if null else tau),
+                    optical_depth(extinction, reached),
                 )
                 densities = media.densities(
                     s.location, s.from_particle, collided, depths, relative, drawn if null else tau
@@ -217,7 +219,7 @@ class NonexpVolpath(mi.SamplingIntegrator):
                     connecting = on_surface & smooth & ~last
                     if media and media.some_sealed:
                         connecting &= ~media.sealed(s.location) | si.is_medium_transition()
-                if collisions_connect:
+                if media and media.connects:
                     connecting |= collided & ~last & media.collision_connects(s.location)
                 if media and needs.smooth_boundaries:
                     leaving = partial(media.behind, si, on_surface, s.location)
