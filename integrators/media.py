@@ -36,6 +36,8 @@ class Media(ABC):
     """The media in which something can collide."""
 
     def __init__(self, entries: Sequence[Entry]) -> None:
+        self.entries = tuple(entries)
+        """The media themselves."""
         self.connects = any(entry.connects for entry in entries)
         """Collisions in some medium use next-event estimation."""
         self.some_sealed = any(entry.sealed for entry in entries)
@@ -170,7 +172,6 @@ class ManyMedia(Media):
 
     def __init__(self, entries: Sequence[Entry]) -> None:
         super().__init__(entries)
-        self._entries = entries
         self._mixed = any(entry.connects != self.connects for entry in entries)
         self._constant = all(entry.constant for entry in entries)
         if self._constant:
@@ -279,7 +280,7 @@ class ManyMedia(Media):
         return Scatter(*self._switch(location, call, active, mei, wo, u1, u2))
 
     def _switch(self, location: Any, call: Callable[[Entry], Any], active: Any, *args: Any) -> Any:
-        targets = [call(entry) for entry in self._entries]
+        targets = [call(entry) for entry in self.entries]
         return dr.switch(location - 1, targets, *args, active=(location != 0) & active)
 
     def _gathered(self, extinctions: list[Any]) -> Any:
