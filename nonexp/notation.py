@@ -55,7 +55,10 @@ def to_xml(model: Transmittance, indent: str = "") -> str:
 
 
 def _lines(scene: dict[str, Any], name: str) -> list[str]:
-    lines = [f"<texture type={quoteattr(scene['type'])} name={quoteattr(name)}>"]
+    head = f"<texture type={quoteattr(scene['type'])} name={quoteattr(name)}"
+    if len(scene) == 1:
+        return [f"{head}/>"]
+    lines = [f"{head}>"]
     for key, value in scene.items():
         if isinstance(value, dict):
             lines += ["    " + line for line in _lines(value, key)]

@@ -21,11 +21,13 @@ import drjit as dr
 
 __all__ = [
     "Kind",
+    "check",
     "components",
     "describe",
     "function",
     "kind_of",
     "load_function",
+    "number",
     "parameter",
     "text",
     "vector",
@@ -82,7 +84,7 @@ class Number(Kind):
 
     def accept(self, label: str, value: Any) -> Any:
         _check(label, value, self.range)
-        return value
+        return _own(value)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -116,7 +118,7 @@ class Vector(Kind):
         for position, item in enumerate(items):
             _check(f"{label}[{position}]", item, self.range)
         if self.differentiable:
-            return items
+            return tuple(_own(item) for item in items)
         return tuple(float(_single(item)) for item in items)
 
 
@@ -247,6 +249,26 @@ def describe(field: dataclasses.Field[Any]) -> str:
     return f"{field.name}{shown}{limits}: {kind.doc}"
 
 
+def check(
+    label: str,
+    value: Any,
+    *,
+    above: float = -math.inf,
+    least: float = -math.inf,
+    most: float = math.inf,
+) -> None:
+    """Raise ``ValueError`` unless ``value`` is one finite number in the range.
+
+    For arguments that are no fields; ``label`` is what the message calls the argument.
+    """
+    _check(label, value, _Range(above, least, most))
+
+
+def number(value: Any) -> float:
+    """The number in a Python float or in an array of width 1, without its derivatives."""
+    return float(_single(value))
+
+
 _import_lock = threading.Lock()
 
 
@@ -295,6 +317,13 @@ def _single(value: Any) -> Any:
     if not dr.is_array_v(value) and getattr(value, "shape", None) in ((), (1,)):
         return value.item()
     return value
+
+
+def _own(value: Any) -> Any:
+    """A checked number as models compute with it: scalars of NumPy do not mix with Dr.Jit."""
+    if dr.is_array_v(value) or type(value) in (int, float):
+        return value
+    return float(_single(value))
 
 
 def _check(label: str, value: Any, allowed: _Range) -> None:

@@ -12,6 +12,7 @@ import drjit as dr
 import mitsuba as mi
 
 from nonexp import models, parameters
+from nonexp.tables import tables_in
 from nonexp.transmittance import Transmittance
 
 
@@ -33,6 +34,11 @@ class TransmittanceTexture(mi.Texture):
         self._fixed: dict[str, Any] = {}
         self._components: dict[str, list[TransmittanceTexture]] = {}
         checked = models.create(key, **self._given(props))
+        for name, kind in self._kinds.items():
+            if _is(kind, parameters.Components) and name not in self._components:
+                self._components[name] = [
+                    _texture(models.to_dict(model)) for model in getattr(checked, name)
+                ]
 
         self.values: dict[str, Any] = {}
         for name, kind in self._kinds.items():
@@ -82,14 +88,19 @@ class TransmittanceTexture(mi.Texture):
 
     def _accept(self) -> None:
         """Check the values; go back to the last good ones if they are refused."""
-        nested = {name: [t.model for t in ts] for name, ts in self._components.items()}
         try:
-            model = models.create(self.key, **self.values, **self._fixed, **nested)
+            model = self._made()
         except ValueError:
             for name, value in self._accepted.items():
                 mi.set_property(self.values[name], value)
+            if self._accepted and self._components:
+                self._adopt(self._made())  # of its components' present values
             raise
         self._adopt(model)
+
+    def _made(self) -> Transmittance:
+        nested = {name: [t.model for t in ts] for name, ts in self._components.items()}
+        return models.create(self.key, **self.values, **self._fixed, **nested)
 
     def _adopt(self, model: Transmittance) -> None:
         self._model = model
@@ -98,6 +109,12 @@ class TransmittanceTexture(mi.Texture):
             if isinstance(kind, parameters.Vector):
                 dr.eval(getattr(self._model, name))
         self._accepted = {name: type(value)(value) for name, value in self.values.items()}
+        # Where dr.freeze looks for what a kernel reads: tables too, which are made at first use.
+        for law in (model.ff, model.pf):
+            law(mi.Float(1))
+        for sample in (model.sample_f, model.sample_p):
+            sample(lambda: mi.Float(0.5))
+        self._tables = [a for table in tables_in(model) for a in table.arrays(mi.Float)]
 
     def traverse(self, callback: mi.TraversalCallback) -> None:
         for name, value in self.values.items():
@@ -119,6 +136,15 @@ class TransmittanceTexture(mi.Texture):
         parts += [f"{name}={value}" for name, value in self._fixed.items()]
         parts += [str(t.to_string()) for textures in self._components.values() for t in textures]
         return f"transmittance_{self.key}[{', '.join(parts)}]"
+
+
+def _texture(scene: dict[str, Any]) -> TransmittanceTexture:
+    """The texture of a component that the scene did not name: a default of its model."""
+    props = mi.Properties(scene["type"])
+    for name, value in scene.items():
+        if name != "type":
+            props[name] = _texture(value) if isinstance(value, dict) else value
+    return TransmittanceTexture(scene["type"].removeprefix("transmittance_"), props)
 
 
 def _is(kind: Any, cls: type) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import re
 from pathlib import Path
@@ -48,6 +49,15 @@ def test_command_lines_are_understood(
 def test_every_model_is_in_the_table() -> None:
     for name in models.names():
         assert f"\n| `{name}` | " in README
+
+
+def test_the_manual_of_the_models_is_what_their_classes_say(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "tools"))
+    text = importlib.import_module("model_reference").text()
+    written = (ROOT / "docs" / "models.md").read_text(encoding="utf-8")
+    assert written == text, "run python tools/model_reference.py"
 
 
 def test_pictures_exist() -> None:

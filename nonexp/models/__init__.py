@@ -20,7 +20,7 @@ from typing import Any, TypeVar
 
 from ..transmittance import Transmittance
 
-__all__ = ["create", "names", "register", "registry", "to_dict", "to_xml"]
+__all__ = ["create", "fit", "names", "register", "registry", "to_dict", "to_xml"]
 
 Model = TypeVar("Model", bound=type[Transmittance])
 
@@ -96,4 +96,5 @@ def _register_package() -> None:
 
 _register_package()
 
-from ..notation import to_dict, to_xml  # noqa: E402  (these read the registry)
+from ..fitting import fit  # noqa: E402  (these read the registry)
+from ..notation import to_dict, to_xml  # noqa: E402

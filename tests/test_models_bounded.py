@@ -1,0 +1,440 @@
+"""Laws whose flights from a particle end at, or begin beyond, a certain length: power, linear,
+quadratic, pulse, hard_rod. Their limits, extreme parameters, and samples.
+"""
+
+from __future__ import annotations
+
+import bisect
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import drjit as dr
+import mpmath
+import numpy as np
+import pytest
+from drjit.llvm.ad import PCG32, Float, Float64, UInt32
+from scipy import stats
+
+from nonexp import models
+
+LAWS = ("ff", "fp", "pf", "pp")
+FALSE_ALARM = 1e-5
+DRAWS = 2**20
+
+mp = mpmath.mp.clone()
+mp.dps = 40
+
+POWERS = [
+    {"n": n, "b": b}
+    for n in (1, 1 + 2**-23, 1.001, 1.3, 2, 2.5, 3, 100, 1e4, 1e6)
+    for b in (n, 0.01, 1e3)
+]
+PULSES = [
+    {"a": a, "b": b, "n": n}
+    for n in (1, 2, 3, 7, 41, 100, 1000)
+    for a, b in ((0, 2), (0.3, 1.9), (0, 1e-3), (100, 1000))
+]
+RODS = [
+    {"d": core, "l": mean}
+    for core, mean in (
+        (0, 1),
+        (0, 1e-6),
+        (1e-6, 1),
+        (1, 1e-6),
+        (0.3, 7.7),
+        (1e4, 1e-3),
+        (1e-8, 1e-8),
+    )
+]
+EXTREMES = (
+    [("power", p) for p in POWERS]
+    + [("linear", {"b": b}) for b in (1e-4, 0.41, 1e4)]
+    + [("quadratic", {"b": b}) for b in (1e-4, 0.41, 1e4)]
+    + [("pulse", p) for p in PULSES]
+    + [("hard_rod", p) for p in RODS]
+)
+
+
+def name(case: tuple[str, dict[str, float]]) -> str:
+    return "-".join([case[0], *(f"{k}={v:g}" for k, v in case[1].items())])
+
+
+extremes = pytest.mark.parametrize("case", EXTREMES, ids=name)
+
+
+def held(case: tuple[str, dict[str, float]], kind: Any = Float) -> Any:
+    """The model as a scene holds it: parameters are arrays that a kernel knows nothing about."""
+    key, parameters = case
+    made = {k: v if (key, k) == ("pulse", "n") else kind(v) for k, v in parameters.items()}
+    dr.make_opaque(*made.values())
+    return models.create(key, **made)
+
+
+def exact(value: Any) -> Any:
+    return mp.mpf(float(np.array(value, dtype=float).ravel()[0]))
+
+
+def stream(*values: Any) -> Callable[[], Any]:
+    """Draws that return one given value after the other."""
+    left: Iterator[Any] = iter(values)
+    return lambda: next(left)
+
+
+# ------------------------------------------------------------------------------- references
+
+
+class Power:
+    names = ("n", "b")
+
+    def __init__(self, model: Any) -> None:
+        self.values = (exact(model.n), exact(model.b))
+
+    def ff(self, tau: Any, n: Any, b: Any) -> Any:
+        return (1 - tau / b) ** n if tau.real < b.real else mp.zero
+
+    def pf(self, tau: Any, n: Any, b: Any) -> Any:
+        return (1 - tau / b) ** (n - 1) if tau.real < b.real else mp.zero
+
+    def pp(self, tau: Any, n: Any, b: Any) -> Any:
+        return (n - 1) / b * (1 - tau / b) ** (n - 2) if tau.real < b.real else mp.zero
+
+
+class HardRod:
+    names = ("d", "l")
+
+    def __init__(self, model: Any) -> None:
+        self.values = (exact(model.d), exact(model.l))
+
+    def ff(self, tau: Any, d: Any, l: Any) -> Any:  # noqa: E741
+        return 1 - tau / (d + l) if tau.real < d.real else l / (d + l) * mp.exp((d - tau) / l)
+
+    def pf(self, tau: Any, d: Any, l: Any) -> Any:  # noqa: E741
+        return mp.one if tau.real < d.real else mp.exp((d - tau) / l)
+
+    def pp(self, tau: Any, d: Any, l: Any) -> Any:  # noqa: E741
+        return mp.zero if tau.real < d.real else mp.exp((d - tau) / l) / l
+
+
+class Pulse:
+    """Which atoms are passed follows from where the model has them, rounded as they are."""
+
+    names = ("a", "b")
+
+    def __init__(self, model: Any) -> None:
+        self.values = (exact(model.a), exact(model.b))
+        self.n = model.n
+        self.places = [exact(where) for where, _ in model.atoms]
+        self.left = [mp.fsum(self.places[i:]) for i in range(self.n + 1)]
+        a, b = self.values
+        self.shift = [s - self.regular(i, a, b) for i, s in enumerate(self.left)]
+
+    def regular(self, i: int, a: Any, b: Any) -> Any:
+        """Sum of the unrounded places from the i-th on."""
+        return (self.n - i) * (a + (b - a) * (self.n + i) / (2 * self.n))
+
+    def ff(self, tau: Any, a: Any, b: Any) -> Any:
+        i = bisect.bisect_right(self.places, tau.real)
+        return 2 / (a + b) / self.n * (self.regular(i, a, b) + self.shift[i] - (self.n - i) * tau)
+
+    def pf(self, tau: Any, a: Any, b: Any) -> Any:
+        return mp.one - mp.mpf(bisect.bisect_right(self.places, tau.real)) / self.n
+
+    def pp(self, tau: Any, a: Any, b: Any) -> Any:
+        return mp.zero
+
+
+REFERENCES = {
+    "power": Power,
+    "linear": Power,
+    "quadratic": Power,
+    "hard_rod": HardRod,
+    "pulse": Pulse,
+}
+
+
+def depths(model: Any) -> Any:
+    """16 decades, and 4 ulp to both sides of some kinks."""
+    tau = [np.geomspace(1e-8, 1e8, 100).astype(np.float32)]
+    kinks = [np.float32(exact(where)) for where in model.kinks]
+    for kink in kinks[:3] + kinks[len(kinks) // 2 :: 97] + kinks[-3:]:
+        tau.append((kink + np.arange(-4, 5) * np.spacing(kink)).astype(np.float32))
+    at = np.unique(np.concatenate(tau))
+    return at[at >= 0]
+
+
+@extremes
+def test_values_at_extreme_parameters(case: Any) -> None:
+    """Relative error 2e-6 (1 + |ln value|) in float32."""
+    model = held(case)
+    reference = REFERENCES[case[0]](model)
+    at = depths(model)
+    for law in ("ff", "pf", "pp"):
+        got = np.broadcast_to(np.array(getattr(model, law)(Float(at)), dtype=float), at.shape)
+        assert np.all(np.isfinite(got) & (got >= 0))
+        assert law == "pp" or np.all(got <= 1)
+        for tau, value in zip(at, got, strict=True):
+            true = getattr(reference, law)(exact(tau), *reference.values)
+            bar = 2e-6 * true * (1 + abs(mp.log(true))) if true > 1e-30 else mp.mpf("2e-30")
+            assert abs(exact(value) - true) <= bar, (law, tau, value)
+
+
+@extremes
+def test_gradients_at_extreme_parameters(case: Any) -> None:
+    """By tau and each parameter, to 2e-4 of the gradient or of value/parameter, in float32."""
+    model = held(case)
+    reference = REFERENCES[case[0]](model)
+    at = depths(model)
+    at = at[np.isin(at, [exact(where) for where in model.kinks], invert=True)]
+    step = mp.mpf(10) ** -60
+    for which, variable in enumerate(("tau", *reference.names)):
+        if variable == "n" and case[0] != "power":
+            continue
+        for law in ("ff", "pf"):
+            x = Float(at) if which == 0 else dr.repeat(getattr(model, variable), len(at))
+            dr.enable_grad(x)
+            changed = object.__new__(type(model))  # as wide as tau: a gradient for each
+            vars(changed).update(vars(model))
+            if which:
+                object.__setattr__(changed, variable, x)
+            value = getattr(changed, law)(x if which == 0 else Float(at))
+            gradient = np.zeros(len(at))
+            if dr.grad_enabled(value):
+                dr.backward(value)
+                gradient = np.array(x.grad, dtype=float)
+            assert np.all(np.isfinite(gradient))
+            for tau, got in zip(at, gradient, strict=True):
+                given = [exact(tau), *reference.values]
+                true = getattr(reference, law)(*given)
+                if true < 1e-30:
+                    continue
+                scale = abs(given[which]) or exact(1 / model.sigma_bar)
+                given[which] += mp.mpc(0, step)
+                slope = mp.im(getattr(reference, law)(*given)) / step
+                bar = mp.mpf("2e-4") * (abs(slope) + true / scale) + mp.mpf("1e-37")
+                assert abs(exact(got) - slope) <= bar, (law, variable, tau, got)
+
+
+# ------------------------------------------------------------------------------- limits
+
+
+def assert_near(model: Any, limit: Any, within: float, law: str, tau: Any) -> None:
+    got, want = (np.array(getattr(m, law)(Float64(tau))) for m in (model, limit))
+    np.testing.assert_allclose(got, want, rtol=0, atol=within)
+
+
+@pytest.mark.parametrize(("n", "key"), [(1, "linear"), (2, "quadratic")])
+def test_power_is_linear_and_quadratic(n: int, key: str) -> None:
+    u = Float(np.arange(0, 2**23, 997) / 2**23)
+    tau = Float(np.append(np.linspace(0, 3, 1000), [1.72, 1e8, np.inf]))
+    named = held((key, {"b": 1.72}))
+    general = held(("power", {"n": n, "b": 1.72}))
+    static = models.create("power", n=n, b=named.b)
+    for law in LAWS:
+        want = np.array(getattr(named, law)(tau))
+        np.testing.assert_array_equal(np.array(getattr(static, law)(tau)), want)
+        got = np.array(getattr(general, law)(tau))
+        np.testing.assert_allclose(got, want, rtol=2e-6)
+    for sample in ("sample_f", "sample_p"):
+        want = np.array(getattr(named, sample)(lambda: u))
+        np.testing.assert_array_equal(np.array(getattr(static, sample)(lambda: u)), want)
+        got = np.array(getattr(general, sample)(lambda: u))
+        np.testing.assert_allclose(got, np.broadcast_to(want, got.shape), rtol=5e-7)
+    assert [float(dr.slice(p)) for _, p in general.atoms] == [1.0 if n == 1 else 0.0]
+    assert len(named.atoms) == (n == 1)
+    assert np.all(np.array(general.sample_p(lambda: u)) == np.float32(1.72)) == (n == 1)
+
+
+@pytest.mark.parametrize("n", [100.0, 1e4, 1e6])
+def test_power_tends_to_the_exponential_law(n: float) -> None:
+    tau = np.geomspace(1e-8, 1e3, 400)
+    power, exponential = models.create("power", n=n), models.create("exponential")
+    assert power.sigma_bar == 1
+    for law in LAWS:
+        assert_near(power, exponential, 2 / n, law, tau)
+    u = Float64(np.arange(0.001, 0.99, 0.001))
+    for sample in ("sample_f", "sample_p"):
+        got, want = (np.array(getattr(m, sample)(lambda: u)) for m in (power, exponential))
+        np.testing.assert_allclose(got, want, rtol=3 / n)
+
+
+def test_pulse_of_one_length_is_linear() -> None:
+    tau = np.append(np.linspace(0, 3, 1000), [1.1, 1e8])
+    pulse, linear = models.create("pulse", a=0.5, b=1.75, n=1), models.create("linear", b=1.125)
+    assert pulse.atoms == linear.atoms
+    for law in LAWS:
+        assert_near(pulse, linear, 1e-15, law, tau)
+
+
+@pytest.mark.parametrize("n", [10, 100, 1000])
+def test_pulse_tends_to_the_quadratic_law(n: int) -> None:
+    """As fast as a polyline through, and steps around, what they approximate."""
+    tau = np.linspace(0, 4, 12345)
+    pulse, quadratic = models.create("pulse", a=0, b=3, n=n), models.create("quadratic", b=3)
+    assert_near(pulse, quadratic, 0.2501 / n**2, "ff", tau)
+    assert_near(pulse, quadratic, 0.5001 / n, "pf", tau)
+
+
+@pytest.mark.parametrize("scale", [1e-6, 0.3, 1e4])
+def test_hard_rod_without_a_core_is_exponential(scale: float) -> None:
+    tau = np.geomspace(1e-8, 1e3, 400)
+    rod, exponential = models.create("hard_rod", d=0, l=scale), models.create("exponential")
+    assert rod.sigma_bar * scale == pytest.approx(1, rel=1e-15)
+    for law, unit in (("ff", 1), ("fp", scale), ("pf", 1), ("pp", scale)):
+        got = unit * np.array(getattr(rod, law)(Float64(tau * scale)))
+        np.testing.assert_allclose(got, np.array(getattr(exponential, law)(Float64(tau))), 1e-12)
+    u = Float(np.arange(2**12) / 2**12)
+    want = scale * np.array(exponential.sample_f(lambda: u))
+    for sample in (rod.sample_f, rod.sample_p):
+        np.testing.assert_allclose(np.array(sample(lambda: u)), want, rtol=1e-6)
+    assert_near(models.create("hard_rod", d=1e-6, l=1), exponential, 2e-6, "ff", tau)
+
+
+def test_hard_rod_tends_to_the_linear_law() -> None:
+    tau = np.linspace(0, 2, 1000)
+    rod, linear = models.create("hard_rod", d=1.0, l=1e-6), models.create("linear", b=1.0)
+    assert_near(rod, linear, 1e-6, "ff", tau)
+    assert_near(rod, linear, 1e-12, "pf", tau[np.abs(tau - 1) > 4e-5])
+    u = Float(np.arange(2**12) / 2**12)
+    np.testing.assert_allclose(np.array(rod.sample_p(lambda: u)), 1, atol=2e-5)
+    np.testing.assert_allclose(np.array(rod.sample_f(lambda: u)), np.array(u), atol=2e-6)
+
+
+# ------------------------------------------------------------------------------- samples
+
+INVERSIONS = [
+    ("linear", {"b": 1.72}, "f"),
+    ("quadratic", {"b": 0.41}, "f"),
+    ("quadratic", {"b": 0.41}, "p"),
+    *(("power", {"n": n, "b": b}, "f") for n in (1, 1.3, 2, 7.5, 1e4) for b in (n, 0.37)),
+    *(("power", {"n": n, "b": b}, "p") for n in (2, 2.5, 7.5, 1e4, 1e6) for b in (n, 0.37)),
+    *(("hard_rod", p, "f") for p in RODS),
+    *(("hard_rod", p, "p") for p in RODS if p["d"] < 10 * p["l"]),  # else depths are too coarse
+]
+
+
+@pytest.mark.parametrize(("key", "parameters", "origin"), INVERSIONS)
+def test_distribution_function_undoes_inversion(key: str, parameters: Any, origin: str) -> None:
+    model = held((key, parameters))
+    reference = REFERENCES[key](model)
+    ends = np.concatenate([np.arange(9), 2**23 - 1 - np.arange(9)])
+    u = np.append(ends, np.linspace(9, 2**23 - 10, 300).astype(int)) / 2**23
+    tau = getattr(model, f"sample_{origin}")(stream(Float(u)))
+    survival = reference.ff if origin == "f" else reference.pf
+    got = [float(1 - survival(exact(t), *reference.values)) for t in np.array(tau)]
+    np.testing.assert_allclose(got, u, rtol=0, atol=4 * 2**-24)
+
+
+@pytest.mark.parametrize("origin", ["f", "p"])
+@pytest.mark.parametrize(
+    "case",
+    [
+        ("power", {"n": 1, "b": 0.7}),
+        ("power", {"n": 1.5, "b": 0.7}),
+        ("power", {"n": 1e4, "b": 3e3}),
+        ("pulse", {"a": 0, "b": 2, "n": 1000}),
+        ("pulse", {"a": 0.3, "b": 1.9, "n": 7}),
+        ("hard_rod", {"d": 1e-3, "l": 2}),
+        ("hard_rod", {"d": 1, "l": 1e-2}),
+    ],
+    ids=name,
+)
+def test_samples_follow_the_law(case: Any, origin: str) -> None:
+    model = held(case)
+    tau = getattr(model, f"sample_{origin}")(PCG32(DRAWS, 3).next_float32)
+    tau = np.broadcast_to(np.array(tau, dtype=float), (DRAWS,))
+    atoms = [(float(exact(where)), float(exact(p))) for where, p in model.atoms]
+    if origin == "p" and atoms:
+        hits = np.array([np.count_nonzero(tau == where) for where, _ in atoms])
+        expected = DRAWS * np.array([p for _, p in atoms])
+        assert np.all(hits[expected == 0] == 0)
+        if np.any(expected):
+            assert hits.sum() == DRAWS
+            assert len(hits) == 1 or stats.chisquare(hits, expected).pvalue > FALSE_ALARM
+            return
+    wide = held(case, Float64)
+    survival = wide.ff if origin == "f" else wide.pf
+    assert stats.kstest(tau, lambda t: 1 - np.array(survival(Float64(t)))).pvalue > FALSE_ALARM
+
+
+@pytest.mark.parametrize("case", [("pulse", p) for p in PULSES], ids=name)
+def test_pulse_picks_length_biased_atoms(case: Any) -> None:
+    """The share of each atom in a dense regular grid of random numbers, from both origins."""
+    model = held(case)
+    places = np.array([float(exact(where)) for where, _ in model.atoms])
+    u = Float((np.arange(DRAWS) + 0.5) / DRAWS)
+    for tau, weight in (
+        (model.sample_f(stream(u, Float(0.5))) * 2, places),
+        (model.sample_p(stream(u)), np.ones(len(places))),
+    ):
+        drawn = np.array(tau, dtype=float)
+        which = np.searchsorted(places, drawn)
+        np.testing.assert_array_equal(places[which], drawn)
+        share = np.bincount(which, minlength=len(places)) / DRAWS
+        np.testing.assert_allclose(share, weight / weight.sum(), rtol=0, atol=3 / DRAWS)
+
+
+@pytest.mark.parametrize("case", [("pulse", p) for p in PULSES], ids=name)
+def test_pulse_survival_drops_at_the_very_atoms(case: Any) -> None:
+    model = held(case)
+    n = model.n
+    at = np.array([float(exact(where)) for where, _ in model.atoms], dtype=np.float32)
+    after = (n - 1 - np.arange(n)) / n
+    np.testing.assert_allclose(np.array(model.pf(Float(at))), after, rtol=2e-7, atol=0)
+    before = np.array(model.pf(Float(np.nextafter(at, np.float32(0)))))
+    np.testing.assert_allclose(before, after + 1 / n, rtol=2e-7)
+
+
+@extremes
+@pytest.mark.parametrize("u", [0.0, 1 - 2**-23])
+def test_ends_of_the_random_numbers(case: Any, u: float) -> None:
+    model = held(case)
+    f, p = (float(exact(sample(lambda: Float(u)))) for sample in (model.sample_f, model.sample_p))
+    assert np.isfinite([f, p]).all()
+    assert (f == 0) == (u == 0) and p >= 0
+    if case[0] in ("power", "linear", "quadratic"):
+        end = float(exact(model.b))
+        assert f < end and (p == end if float(exact(model.n)) == 1 else p < end)
+
+
+# ------------------------------------------------------------------------------- parameters
+
+
+@pytest.mark.parametrize(
+    ("key", "parameters", "message"),
+    [
+        ("power", {"n": 0.5}, r"Power\.n is 0\.5: it must be a finite number >= 1"),
+        ("power", {"n": Float(0.5)}, r"Power\.n is 0\.5: it must be"),
+        ("power", {"b": 0}, r"Power\.b is 0: it must be a finite number > 0"),
+        ("pulse", {"n": 0}, r"Pulse\.n is 0: it must be a whole number 1 to 1000"),
+        ("pulse", {"n": 2.5}, r"Pulse\.n is 2\.5: it must be a whole number 1 to 1000"),
+        ("pulse", {"n": 1001}, r"Pulse\.n is 1001: it must be"),
+        ("pulse", {"a": -0.1}, r"Pulse\.a is -0\.1: it must be a finite number >= 0"),
+        ("pulse", {"a": 2}, r"Pulse\.b is 2: it must be a finite number > Pulse\.a = 2"),
+        ("pulse", {"a": Float(3)}, r"Pulse\.b is 2: it must be a finite number > Pulse\.a = 3"),
+        ("hard_rod", {"d": -1}, r"HardRod\.d is -1: it must be a finite number >= 0"),
+        ("hard_rod", {"l": 0}, r"HardRod\.l is 0: it must be a finite number > 0"),
+    ],
+)
+def test_bad_parameters_are_named(key: str, parameters: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        models.create(key, **parameters)
+
+
+def test_end_of_power_follows_the_exponent() -> None:
+    assert models.create("power", n=7).b == 7
+    assert models.create("power", n=7, b=2).sigma_bar == 3.5
+
+
+def test_one_kernel_serves_all_exponents() -> None:
+    """Parameters are data: nothing of their values gets into the program."""
+    dr.set_flag(dr.JitFlag.KernelHistory, True)
+    try:
+        seen = set()
+        for n in (1.0, 2.0, 3.7):
+            dr.kernel_history_clear()
+            tau = dr.linspace(Float, 0, 4, 100) + dr.opaque(Float, 0)
+            dr.eval(held(("power", {"n": n, "b": 2.0})).ff(tau), UInt32(0))
+            seen.update(k["hash"] for k in dr.kernel_history([dr.KernelType.JIT]))
+        assert len(seen) == 1
+    finally:
+        dr.set_flag(dr.JitFlag.KernelHistory, False)
