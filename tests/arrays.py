@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
+import drjit as dr
 import numpy as np
 
 from nonexp import parameters
@@ -15,7 +16,7 @@ def with_arrays(
     model: Transmittance, kind: Any, shifts: dict[str, float] | None = None
 ) -> tuple[Transmittance, dict[str, Any]]:
     """The model with every differentiable parameter, also of its components, rounded to float32
-    and held in an array of ``kind``; and these arrays by path: ``alpha``, ``sigma[1]``,
+    and held in an opaque array of ``kind``; and these arrays by path: ``alpha``, ``sigma[1]``,
     ``models[0].b``. ``shifts`` are added to the parameters of these paths.
     """
     shifts = shifts or {}
@@ -38,8 +39,10 @@ def with_arrays(
         return leaf(name, value)
 
     def leaf(path: str, value: Any) -> Any:
-        leaves[path] = kind(float(np.float32(value)) + shifts.get(path, 0.0))
-        return leaves[path]
+        array = kind(float(np.float32(value)) + shifts.get(path, 0.0))
+        dr.make_opaque(array)  # a literal would be folded into formulas: 0 inf would be 0
+        leaves[path] = array
+        return array
 
     fields = dataclasses.fields(model)  # type: ignore[arg-type]
     given = {f.name: convert(f.name, parameters.kind_of(f), getattr(model, f.name)) for f in fields}
