@@ -8,6 +8,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from . import tracking
 from .media import Media
 from .scene_needs import SceneNeeds
 
@@ -39,7 +40,7 @@ def connect(
     vertex: mi.Interaction3f,
     location: Any,
     from_particle: Any,
-    sample: mi.Point2f,
+    sampler: mi.Sampler,
     active: Any,
 ) -> tuple[mi.DirectionSample3f, mi.Spectrum]:
     """Sample an emitter from ``vertex``; return where it is and radiance/pdf times transmittance.
@@ -49,17 +50,38 @@ def connect(
     """
     if media and media.all_sealed:
         media = None
-    ds, light = scene.sample_emitter_direction(vertex, sample, not needs.null_surfaces, active)
+    ds, light = scene.sample_emitter_direction(
+        vertex, sampler.next_2d(), not needs.null_surfaces, active
+    )
     active = active & (ds.pdf != 0)
     light = dr.select(active, light, 0)
     if needs.null_surfaces:
-        light *= _walk(scene, needs, media, vertex, ds, location, from_particle, active)
+        light *= _walk(scene, needs, media, vertex, ds, location, from_particle, sampler, active)
     elif media:
         start = location(ds.d)
-        tau = media.sigma_t(start) * _distance(needs, ds, ds.dist)
+        distance = _distance(needs, ds, ds.dist)
+        tau = optical_depth(media.sigma_t(start, sight(vertex, ds.d)), distance)
         survival = media.survival(start, from_particle, tau)
+        if media.tracks:
+            tracked = active & media.tracked(start)
+            onward = mi.Ray3f(vertex.p, ds.d, vertex.time, vertex.wavelengths)
+            survival *= tracking.transmittance(media, start, onward, distance, sampler, tracked)
         light = dr.select(media.inside(start), light * survival, light)
     return ds, light
+
+
+def sight(vertex: Any, direction: Any) -> mi.MediumInteraction3f:
+    """What a medium may ask about a ray that leaves ``vertex``: its direction and wavelengths."""
+    mei = dr.zeros(mi.MediumInteraction3f)
+    mei.wi, mei.time, mei.wavelengths = -direction, vertex.time, vertex.wavelengths
+    mei.sh_frame = mi.Frame3f(mei.wi)
+    return mei
+
+
+def optical_depth(sigma_t: Any, distance: Any) -> Any:
+    """``sigma_t * distance``; none where a channel's extinction is zero, however far."""
+    tau = sigma_t * distance
+    return tau if dr.depth_v(tau) == 1 else dr.select(sigma_t > 0, tau, 0)
 
 
 def _distance(needs: SceneNeeds, ds: mi.DirectionSample3f, distance: Any) -> Any:
@@ -78,6 +100,7 @@ def _walk(
     ds: mi.DirectionSample3f,
     location: Any,
     from_particle: Any,
+    sampler: mi.Sampler,
     active: Any,
 ) -> mi.Spectrum:
     """Transmittance to ``ds.p`` past any number of surfaces that let light straight through.
@@ -89,38 +112,53 @@ def _walk(
     def remaining(s: _Ray) -> Any:
         return _distance(needs, ds, dr.dot(ds.p - s.start, ds.d))
 
-    def body(s: _Ray) -> tuple[_Ray]:
-        si = scene.ray_intersect(s.ray, s.active)
+    def body(sampler: mi.Sampler, s: _Ray) -> tuple[mi.Sampler, _Ray]:
+        si = scene.ray_intersect(s.ray, flags, True, s.active)
         hit = s.active & si.is_valid()
-        through = si.bsdf().eval_null_transmission(si, hit)
-        s.transmittance = dr.select(hit, s.transmittance * through, s.transmittance)
+        if needs.partial_surfaces:
+            through = si.bsdf().eval_null_transmission(si, hit)
+            s.transmittance = dr.select(hit, s.transmittance * through, s.transmittance)
+        else:
+            blocked = hit & ~mi.has_flag(si.bsdf().flags(), mi.BSDFFlags.Null)
+            s.transmittance = dr.select(blocked, 0, s.transmittance)
         if media:
             length = dr.select(hit, dr.dot(si.p - s.start, ds.d), remaining(s))
             inside = s.active & media.inside(s.location)
-            s.tau = dr.select(inside, dr.fma(media.sigma_t(s.location), length, s.tau), s.tau)
+            tau = optical_depth(media.sigma_t(s.location, sight(vertex, ds.d)), length)
+            s.tau = type(s.tau)(dr.select(inside, s.tau + tau, s.tau))
+            if media.tracks:
+                tracked = inside & media.tracked(s.location)
+                onward = mi.Ray3f(s.start, ds.d, vertex.time, vertex.wavelengths)
+                s.transmittance *= tracking.transmittance(
+                    media, s.location, onward, length, sampler, tracked
+                )
             beyond = media.behind(si, hit, s.location, s.ray.d)
             left = beyond != s.location
             survival = media.survival(s.location, s.from_particle, s.tau)
             s.transmittance = dr.select(left & inside, s.transmittance * survival, s.transmittance)
-            s.tau = dr.select(left, 0, s.tau)
+            s.tau = type(s.tau)(dr.select(left, 0, s.tau))
             s.from_particle &= ~left
             s.location = beyond
             s.start = si.p
         s.ray = si.spawn_ray_to(ds.p)
         s.active = hit & dr.any(s.transmittance != 0)
-        return (s,)
+        return sampler, s
 
+    # Invisible surfaces only matter by where they are and to which side they face.
+    flags = mi.RayFlags.All if needs.partial_surfaces else mi.RayFlags.Minimal
     start = location(ds.d) if media else None
     state = _Ray(
         ray=vertex.spawn_ray_to(ds.p),
         start=mi.Point3f(vertex.p) if media else None,
         location=start,
-        tau=mi.Float(0),
+        tau=mi.UnpolarizedSpectrum(0) if media and media.chromatic else mi.Float(0),
         from_particle=mi.Bool(from_particle),
         transmittance=mi.Spectrum(1),
         active=mi.Bool(active),
     )
-    (end,) = dr.while_loop((state,), lambda s: s.active, body, label="nonexp: shadow ray")
+    _, end = dr.while_loop(
+        (sampler, state), lambda sampler, s: s.active, body, label="nonexp: shadow ray"
+    )
     if not media:
         return end.transmittance
     survival = media.survival(end.location, end.from_particle, end.tau)

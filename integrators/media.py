@@ -2,75 +2,28 @@
 
 Which medium a path is in is a *location*: nothing in a scene without media, a mask in a scene with
 one, an index (0: none) in a scene with several. The loop treats it as a value to carry, compare
-and pass back.
+and pass back. Extinctions are numbers, or spectra as soon as one medium of the scene is chromatic.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
-import numpy as np
 
-from nonexp import models
-from nonexp.spectra import grey, visible
-from nonexp.transmittance import Transmittance
-
+from .entries import Entry, Scatter, Tracked, entry_of
 from .scene_needs import SceneNeeds
 
-
-@dataclass(frozen=True)
-class _Entry:
-    """One medium: where it stands in Mitsuba, and what a flight through it needs."""
-
-    pointer: Any
-    sigma_t: Any
-    model: Transmittance
-    albedo: Callable[..., Any]
-    sealed: bool
-
-    @property
-    def connects(self) -> bool:
-        return not self.sealed and bool(self.pointer.use_emitter_sampling())
-
-    def flight(self, from_particle: Any, draws: Callable[[], Callable[[], Any]]) -> Any:
-        """Optical depth of the next collision; ``draws()`` begins the random numbers anew, as only
-        one of the two laws is used per lane."""
-        p, f = self.model.sample_p(draws()), self.model.sample_f(draws())
-        return dr.select(from_particle, mi.Float(p), mi.Float(f))
-
-    def survival(self, from_particle: Any, tau: Any) -> Any:
-        """Transmittance over ``tau``: pf from a particle, ff from a fixed point."""
-        return dr.select(from_particle, self.model.pf(tau), self.model.ff(tau))
-
-    def scatter(self, mei: Any, wo: Any, u1: Any, u2: Any, active: Any) -> Scatter:
-        """Phase function towards ``wo`` and a sampled direction, at collisions ``mei``."""
-        context, phase = mi.PhaseFunctionContext(None), self.pointer.phase_function()
-        value, pdf = phase.eval_pdf(context, mei, wo, active)
-        sampled, weight, sampled_pdf = phase.sample(context, mei, u1, u2, active)
-        return Scatter(self.albedo(mei, active), value, pdf, sampled, weight, sampled_pdf)
-
-
-@dataclass
-class Scatter:
-    """Evaluated and sampled phase function at a collision, with the medium's albedo."""
-
-    albedo: Any
-    value: Any
-    pdf: Any
-    wo: Any
-    weight: Any
-    wo_pdf: Any
+__all__ = ["Media", "Scatter", "scene_media"]
 
 
 def scene_media(needs: SceneNeeds) -> Media | None:
     """The scene's media in which anything can collide; None if there is none."""
     pointers = needs.media
-    found = (_entry(pointer, sealed=pointer in needs.sealed) for pointer in pointers)
+    found = (entry_of(pointer, sealed=pointer in needs.sealed) for pointer in pointers)
     entries = [entry for entry in found if entry is not None]
     if not entries:
         return None
@@ -79,63 +32,26 @@ def scene_media(needs: SceneNeeds) -> Media | None:
     return ManyMedia(entries)
 
 
-def _entry(pointer: Any, sealed: bool) -> _Entry | None:
-    """What the loop needs to know of a medium; None where nothing ever collides."""
-    model = getattr(pointer, "model", None)
-    if model is not None:
-        sigma_t, albedo = pointer.extinction(), pointer.eval_albedo
-    else:
-        model = models.create("exponential")
-        sigma_t, albedo = _stock_extinction(pointer), _stock_albedo(pointer)
-    if isinstance(model.sigma_bar, float) and model.sigma_bar == 0:
-        return None
-    # While a function is being frozen nothing can be read: then zero goes through the loop.
-    if not dr.flag(dr.JitFlag.FreezingScope) and dr.all(dr.detach(sigma_t) == 0):
-        return None
-    dr.make_opaque(sigma_t)
-    return _Entry(pointer, sigma_t, model, albedo, sealed)
-
-
-def _stock_extinction(medium: Any) -> Any:
-    """Extinction of a medium of Mitsuba's own, which must be homogeneous and grey."""
-    if not medium.is_homogeneous():
-        raise RuntimeError(
-            "the scene holds a heterogeneous medium: nonexp_volpath does not support these yet"
-        )
-    if mi.has_flag(medium.phase_function().flags(), mi.PhaseFunctionFlags.Microflake):
-        raise RuntimeError(
-            "the scene holds a medium with a microflake phase function: "
-            "nonexp_volpath does not support these yet"
-        )
-    sigma_t = medium.get_majorant(visible())
-    if not grey(np.array(dr.detach(sigma_t))):
-        raise RuntimeError(
-            "the scene holds a medium whose sigma_t differs between wavelengths: "
-            "nonexp_volpath does not support these yet"
-        )
-    return dr.gather(mi.Float, sigma_t[0], 0)
-
-
-def _stock_albedo(medium: Any) -> Callable[..., Any]:
-    def albedo(mei: Any, active: Any = True) -> Any:
-        sigma_s, _, sigma_t = medium.get_scattering_coefficients(mei, active)
-        return sigma_s / sigma_t
-
-    return albedo
-
-
-# --------------------------------------------------------------------------------------------------
-
-
 class Media(ABC):
     """The media in which something can collide."""
 
-    connects: bool
-    """Collisions in some medium use next-event estimation."""
-    some_sealed: bool
-    """No connection from some medium can succeed."""
-    all_sealed: bool
-    """No connection through any medium can succeed."""
+    def __init__(self, entries: Sequence[Entry]) -> None:
+        self.entries = tuple(entries)
+        """The media themselves."""
+        self.connects = any(entry.connects for entry in entries)
+        """Collisions in some medium use next-event estimation."""
+        self.some_sealed = any(entry.sealed for entry in entries)
+        """No connection from some medium can succeed."""
+        self.all_sealed = all(entry.sealed for entry in entries)
+        """No connection through any medium can succeed."""
+        self.chromatic = any(entry.chromatic for entry in entries)
+        """Extinction of some medium differs between channels or wavelengths."""
+        self.tracks = any(isinstance(entry, Tracked) for entry in entries)
+        """Some medium is heterogeneous: flights through it are tracked step by step."""
+
+    def _spread(self, extinction: Any) -> Any:
+        """An extinction as this scene needs it: a number, or a spectrum."""
+        return mi.UnpolarizedSpectrum(extinction) if self.chromatic else mi.Float(extinction)
 
     @abstractmethod
     def at(self, pointer: Any) -> Any:
@@ -159,16 +75,40 @@ class Media(ABC):
         """Mask: no connection from here can succeed."""
 
     @abstractmethod
-    def sigma_t(self, location: Any) -> Any:
-        """Extinction per scene unit (undefined outside media)."""
+    def tracked(self, location: Any) -> Any:
+        """Mask: flights here are tracked step by step."""
+
+    @abstractmethod
+    def sigma_t(self, location: Any, mei: Any) -> Any:
+        """Extinction per scene unit of a ray with the direction ``-mei.wi`` (undefined outside
+        media, 1 where flights are tracked)."""
 
     @abstractmethod
     def flight(self, location: Any, from_particle: Any, sampler: Any, active: Any) -> Any:
-        """Optical depth of the next collision."""
+        """Optical depth of the next collision; infinite where flights are tracked."""
 
     @abstractmethod
     def survival(self, location: Any, from_particle: Any, tau: Any) -> Any:
-        """Transmittance over ``tau``: pf from a particle, ff from a fixed point."""
+        """Transmittance over ``tau``: pf from a particle, else ff; 1 where flights are tracked."""
+
+    @abstractmethod
+    def densities(
+        self, location: Any, from_particle: Any, collided: Any, tau: Any, own: Any, drawn: Any
+    ) -> Any:
+        """Spectrum of the densities of a flight, one per channel as if it had drawn the flight.
+
+        ``tau``: optical depth of each channel; ``own``: extinction of each channel relative to the
+        one that drew it; ``drawn``: its optical depth, if it ``collided``.
+        """
+
+    @abstractmethod
+    def bounds(self, location: Any, ray: Any) -> tuple[Any, Any, Any]:
+        """Where flights are tracked: distances at which a ray enters and leaves the medium's data,
+        and the majorant of extinction."""
+
+    @abstractmethod
+    def coefficients(self, location: Any, mei: Any, active: Any) -> tuple[Any, Any]:
+        """Where flights are tracked: coefficients of null collisions and of extinction."""
 
     @abstractmethod
     def scatter(self, location: Any, mei: Any, wo: Any, u1: Any, u2: Any, active: Any) -> Scatter:
@@ -178,11 +118,10 @@ class Media(ABC):
 class OneMedium(Media):
     """A scene with a single medium: its location is a mask, and its functions are called as is."""
 
-    def __init__(self, entry: _Entry, alone: bool) -> None:
+    def __init__(self, entry: Entry, alone: bool) -> None:
+        super().__init__([entry])
         self._entry = entry
         self._alone = alone
-        self.connects = entry.connects
-        self.some_sealed = self.all_sealed = entry.sealed
 
     def at(self, pointer: Any) -> Any:
         if self._alone:
@@ -198,14 +137,28 @@ class OneMedium(Media):
     def sealed(self, location: Any) -> Any:
         return location if self.some_sealed else mi.Bool(False)
 
-    def sigma_t(self, location: Any) -> Any:
-        return self._entry.sigma_t
+    def tracked(self, location: Any) -> Any:
+        return location if self.tracks else mi.Bool(False)
+
+    def sigma_t(self, location: Any, mei: Any) -> Any:
+        return self._spread(self._entry.extinction(mei))
 
     def flight(self, location: Any, from_particle: Any, sampler: Any, active: Any) -> Any:
         return self._entry.flight(from_particle, _shared_draws(lambda: sampler.next_1d(active)))
 
     def survival(self, location: Any, from_particle: Any, tau: Any) -> Any:
         return self._entry.survival(from_particle, tau)
+
+    def densities(
+        self, location: Any, from_particle: Any, collided: Any, tau: Any, own: Any, drawn: Any
+    ) -> Any:
+        return self._entry.densities(from_particle, collided, tau, own, drawn)
+
+    def bounds(self, location: Any, ray: Any) -> tuple[Any, Any, Any]:
+        return self._entry.bounds(ray)
+
+    def coefficients(self, location: Any, mei: Any, active: Any) -> tuple[Any, Any]:
+        return self._entry.coefficients(mei, active)
 
     def scatter(self, location: Any, mei: Any, wo: Any, u1: Any, u2: Any, active: Any) -> Scatter:
         return self._entry.scatter(mei, wo, u1, u2, active)
@@ -217,12 +170,13 @@ class ManyMedia(Media):
     Only the media of this scene are traced, each behind one indirect call.
     """
 
-    def __init__(self, entries: Sequence[_Entry]) -> None:
-        self._entries = entries
-        self.connects = any(entry.connects for entry in entries)
+    def __init__(self, entries: Sequence[Entry]) -> None:
+        super().__init__(entries)
         self._mixed = any(entry.connects != self.connects for entry in entries)
-        self._sigma_t = dr.concat([entry.sigma_t for entry in entries])
-        self._draws = max(_count_draws(entry.model) for entry in entries)
+        self._constant = all(entry.constant for entry in entries)
+        if self._constant:
+            self._sigma_t = self._gathered([self._spread(e.extinction(None)) for e in entries])
+        self._draws = max(_count_draws(entry) for entry in entries)
         # Mitsuba numbers the objects of a type; this table leads from its number to ours.
         numbers = [int(_number(mi.MediumPtr(entry.pointer))[0]) for entry in entries]
         table = [0] * (max(numbers) + 1)
@@ -231,8 +185,7 @@ class ManyMedia(Media):
         self._table = mi.UInt32(table)
         self._connects = mi.Bool([entry.connects for entry in entries])
         self._sealed = mi.Bool([entry.sealed for entry in entries])
-        self.some_sealed = any(entry.sealed for entry in entries)
-        self.all_sealed = all(entry.sealed for entry in entries)
+        self._tracked = mi.Bool([isinstance(entry, Tracked) for entry in entries])
 
     def at(self, pointer: Any) -> Any:
         number = _number(mi.MediumPtr(pointer))
@@ -250,14 +203,23 @@ class ManyMedia(Media):
     def sealed(self, location: Any) -> Any:
         return dr.gather(mi.Bool, self._sealed, location - 1, location != 0)
 
-    def sigma_t(self, location: Any) -> Any:
-        return dr.gather(mi.Float, self._sigma_t, location - 1, location != 0)
+    def tracked(self, location: Any) -> Any:
+        return dr.gather(mi.Bool, self._tracked, location - 1, location != 0)
+
+    def sigma_t(self, location: Any, mei: Any) -> Any:
+        if self._constant:
+            return dr.gather(type(self._sigma_t), self._sigma_t, location - 1, location != 0)
+
+        def call(entry: Entry) -> Callable[..., Any]:
+            return lambda mei, active: self._spread(entry.extinction(mei))
+
+        return self._switch(location, call, True, mei)
 
     def flight(self, location: Any, from_particle: Any, sampler: Any, active: Any) -> Any:
         # A sampler cannot be advanced behind an indirect call: draw the numbers here.
         numbers = [sampler.next_1d(active) for _ in range(self._draws)]
 
-        def call(entry: _Entry) -> Callable[..., Any]:
+        def call(entry: Entry) -> Callable[..., Any]:
             def flight(from_particle: Any, numbers: list[Any], active: Any) -> Any:
                 return entry.flight(from_particle, lambda: iter(numbers).__next__)
 
@@ -266,7 +228,7 @@ class ManyMedia(Media):
         return self._switch(location, call, active, from_particle, numbers)
 
     def survival(self, location: Any, from_particle: Any, tau: Any) -> Any:
-        def call(entry: _Entry) -> Callable[..., Any]:
+        def call(entry: Entry) -> Callable[..., Any]:
             def survival(from_particle: Any, tau: Any, active: Any) -> Any:
                 return entry.survival(from_particle, tau)
 
@@ -274,8 +236,41 @@ class ManyMedia(Media):
 
         return self._switch(location, call, True, from_particle, tau)
 
+    def densities(
+        self, location: Any, from_particle: Any, collided: Any, tau: Any, own: Any, drawn: Any
+    ) -> Any:
+        def call(entry: Entry) -> Callable[..., Any]:
+            def densities(
+                from_particle: Any, collided: Any, tau: Any, own: Any, drawn: Any, active: Any
+            ) -> Any:
+                return entry.densities(from_particle, collided, tau, own, drawn)
+
+            return densities
+
+        return self._switch(location, call, True, from_particle, collided, tau, own, drawn)
+
+    def bounds(self, location: Any, ray: Any) -> tuple[Any, Any, Any]:
+        def call(entry: Entry) -> Callable[..., Any]:
+            def bounds(ray: Any, active: Any) -> Any:
+                return entry.bounds(ray)
+
+            return bounds
+
+        found: tuple[Any, Any, Any] = self._switch(location, call, True, ray)
+        return found
+
+    def coefficients(self, location: Any, mei: Any, active: Any) -> tuple[Any, Any]:
+        def call(entry: Entry) -> Callable[..., Any]:
+            def coefficients(mei: Any, active: Any) -> Any:
+                return entry.coefficients(mei, active)
+
+            return coefficients
+
+        found: tuple[Any, Any] = self._switch(location, call, active, mei)
+        return found
+
     def scatter(self, location: Any, mei: Any, wo: Any, u1: Any, u2: Any, active: Any) -> Scatter:
-        def call(entry: _Entry) -> Callable[..., Any]:
+        def call(entry: Entry) -> Callable[..., Any]:
             def scatter(mei: Any, wo: Any, u1: Any, u2: Any, active: Any) -> Any:
                 s = entry.scatter(mei, wo, u1, u2, active)
                 return s.albedo, s.value, s.pdf, s.wo, s.weight, s.wo_pdf
@@ -284,9 +279,15 @@ class ManyMedia(Media):
 
         return Scatter(*self._switch(location, call, active, mei, wo, u1, u2))
 
-    def _switch(self, location: Any, call: Callable[[_Entry], Any], active: Any, *args: Any) -> Any:
-        targets = [call(entry) for entry in self._entries]
+    def _switch(self, location: Any, call: Callable[[Entry], Any], active: Any, *args: Any) -> Any:
+        targets = [call(entry) for entry in self.entries]
         return dr.switch(location - 1, targets, *args, active=(location != 0) & active)
+
+    def _gathered(self, extinctions: list[Any]) -> Any:
+        if not self.chromatic:
+            return dr.concat(extinctions)
+        parts = zip(*extinctions, strict=True)
+        return mi.UnpolarizedSpectrum([dr.concat(list(part)) for part in parts])
 
 
 def _number(pointer: Any) -> Any:
@@ -312,17 +313,14 @@ def _shared_draws(draw: Callable[[], Any]) -> Callable[[], Callable[[], Any]]:
     return sequence
 
 
-def _count_draws(model: Transmittance) -> int:
-    """How many random numbers the model's flights take at most."""
-    counts = []
-    for sample in (model.sample_f, model.sample_p):
-        count = 0
+def _count_draws(entry: Entry) -> int:
+    """How many random numbers the medium's flights take at most."""
+    count = 0
 
-        def draw() -> Any:
-            nonlocal count
-            count += 1
-            return mi.Float(0.5)
+    def draw() -> Any:
+        nonlocal count
+        count += 1
+        return mi.Float(0.5)
 
-        sample(draw)
-        counts.append(count)
-    return max(counts)
+    entry.flight(mi.Bool(False), _shared_draws(draw))
+    return count

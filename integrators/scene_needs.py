@@ -11,6 +11,8 @@ from typing import Any
 
 import mitsuba as mi
 
+from .closed import encloses
+
 
 @dataclass(frozen=True)
 class SceneNeeds:
@@ -20,14 +22,20 @@ class SceneNeeds:
     """Every medium on a shape, a sensor or an emitter, and the one the rays start in."""
     sealed: tuple[Any, ...]
     """Those media from which no straight line can reach an emitter: nothing to connect to there."""
+    smooth_surfaces: bool
+    """Some surface scatters smoothly: connections to emitters begin on it."""
     smooth_boundaries: bool
     """Some medium boundary scatters smoothly: connections begin on it, to either side."""
     null_surfaces: bool
     """A ray can pass straight through some surface."""
+    partial_surfaces: bool
+    """Some of these let only a part of the light through (opacity masks, thin glass)."""
     emitters: bool
     """There is something to connect to."""
     hittable_emitters: bool
     """A ray can run into an emitter: not all of them are points or directions."""
+    delta_emitters: bool
+    """Some emitter is a point or a direction: only connections find it."""
     infinite_emitters: bool
     """Light arrives from infinity (environment, directional)."""
 
@@ -44,13 +52,19 @@ class SceneNeeds:
         return SceneNeeds(
             media=tuple(media),
             sealed=tuple(m for m in media if m != start and _sealed(scene, shapes, m)),
+            smooth_surfaces=any(_scatters(shape, mi.BSDFFlags.Smooth) for shape in shapes),
             smooth_boundaries=any(
                 shape.is_medium_transition() and _scatters(shape, mi.BSDFFlags.Smooth)
                 for shape in shapes
             ),
             null_surfaces=any(_scatters(shape, mi.BSDFFlags.Null) for shape in shapes),
+            partial_surfaces=any(
+                _scatters(shape, mi.BSDFFlags.Null) and shape.bsdf().class_name() != "Null"
+                for shape in shapes
+            ),
             emitters=bool(emitter_flags),
             hittable_emitters=any(not mi.has_flag(flags, delta) for flags in emitter_flags),
+            delta_emitters=any(mi.has_flag(flags, delta) for flags in emitter_flags),
             infinite_emitters=any(mi.has_flag(flags, infinite) for flags in emitter_flags),
         )
 
@@ -80,9 +94,10 @@ def _scatters(shape: mi.Shape, flag: mi.BSDFFlags) -> bool:
 
 
 def _sealed(scene: mi.Scene, shapes: list[Any], medium: Any) -> bool:
-    """Whether ``medium`` fills spheres that let nothing straight through and hold no emitter.
+    """Whether ``medium`` fills closed shapes that let nothing straight through and hold no emitter.
 
-    A cautious answer: no for other shapes, and where boxes cannot tell an emitter from a sphere.
+    A cautious answer: no for shapes that are not surely closed, and where boxes cannot tell an
+    emitter from the inside of a shape.
     """
     if any(medium == endpoint for endpoint in _endpoint_media(scene)):
         return False
@@ -91,8 +106,7 @@ def _sealed(scene: mi.Scene, shapes: list[Any], medium: Any) -> bool:
         if shape.class_name() == "Instance":
             return False
         if shape.interior_medium() == medium:
-            closed = shape.shape_type() == mi.ShapeType.Sphere and not shape.has_flipped_normals()
-            if not closed or _scatters(shape, mi.BSDFFlags.Null):
+            if _scatters(shape, mi.BSDFFlags.Null) or not encloses(shape):
                 return False
             shells.append(shape.bbox())
         elif shape.exterior_medium() == medium:

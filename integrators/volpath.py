@@ -12,9 +12,11 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from .connection import connect
+from . import tracking
+from .connection import connect, optical_depth, sight
 from .media import scene_media
 from .scene_needs import SceneNeeds
+from .spectral import at_channel, balanced, draw_channel
 
 
 @dataclass
@@ -55,6 +57,12 @@ class _Path:
     """the flight begins here (only where rays pass straight through surfaces)"""
     tau: Any
     """optical depth left on this flight (only where rays pass straight through surfaces)"""
+    drawn: Any
+    """optical depth of this flight in all (likewise, and chromatic)"""
+    flown: Any
+    """distance from where this flight began to the last event (likewise, and chromatic)"""
+    balance: Any
+    """weight of each channel, with mean 1 (only with chromatic extinction)"""
 
 
 class NonexpVolpath(mi.SamplingIntegrator):
@@ -73,8 +81,9 @@ class NonexpVolpath(mi.SamplingIntegrator):
     A flight through a medium is drawn from the law that its origin asks for: one law after a
     collision in this medium, the other after anything else (see :mod:`nonexp.transmittance`).
     Surfaces with the same medium on both sides that let a ray straight through do not end it.
-    Media of Mitsuba's own are the exponential media they are; heterogeneous ones, and extinction
-    that differs between wavelengths, are refused.
+    Where extinction differs between wavelengths, one of a path's channels draws all its flights,
+    and the path is weighted by the balance heuristic over all channels. Media of Mitsuba's own are
+    the exponential media they are; heterogeneous ones are tracked with null collisions.
     """
 
     def __init__(self, props: mi.Properties) -> None:
@@ -96,6 +105,10 @@ class NonexpVolpath(mi.SamplingIntegrator):
         media = scene_media(needs)
         null = needs.null_surfaces
         start = media.at(mi.MediumPtr(medium)) if media else None
+        chromatic = bool(media and media.chromatic)
+        hero = draw_channel(sampler.next_1d()) if chromatic else None
+        collisions_connect = bool(media and media.connects)
+        connections = needs.emitters and (needs.smooth_surfaces or collisions_connect)
         path = _Path(
             active=mi.Bool(active) & (self.max_depth > 0),
             depth=mi.UInt32(0),
@@ -114,6 +127,9 @@ class NonexpVolpath(mi.SamplingIntegrator):
             vertex=mi.Point3f(ray.o) if null else None,
             fresh=mi.Bool(True) if null and media else None,
             tau=mi.Float(0) if null and media else None,
+            drawn=mi.Float(0) if null and chromatic else None,
+            flown=mi.Float(0) if null and chromatic else None,
+            balance=mi.UnpolarizedSpectrum(1) if chromatic else None,
         )
         time, wavelengths = ray.time, ray.wavelengths
         context = mi.BSDFContext()
@@ -123,9 +139,11 @@ class NonexpVolpath(mi.SamplingIntegrator):
             ray = mi.Ray3f(s.o, s.d, s.far, time, wavelengths)
             if media:
                 inside = s.active & media.inside(s.location)
-                sigma_t = media.sigma_t(s.location)
+                extinction = media.sigma_t(s.location, sight(ray, s.d))
+                sigma_t = at_channel(extinction, hero) if chromatic else extinction
                 tau = media.flight(s.location, s.from_particle, sampler, inside)
                 if null:
+                    drawn = dr.select(s.fresh, tau, s.drawn) if chromatic else None
                     tau = dr.select(s.fresh, tau, s.tau)
                 gap = dr.dot(s.offset, s.d)
                 travelled = tau / sigma_t  # from the last event, not from the ray's origin
@@ -134,6 +152,14 @@ class NonexpVolpath(mi.SamplingIntegrator):
             si = scene.ray_intersect(ray, mi.RayFlags.All, s.depth == 0, s.active)
             if self.hide_emitters:
                 si = self._skip_emitters(scene, ray, si, s.active & (s.depth == 0))
+            if media and media.tracks:
+                tracked = inside & media.tracked(s.location)
+                end = dr.minimum(si.t, s.far)
+                found, tracked_balance = tracking.next_collision(
+                    media, s.location, ray, end, hero, sampler, tracked
+                )
+                t_collision = dr.select(tracked, found, t_collision)
+                travelled = dr.select(tracked, found + gap, travelled)
             if media:
                 # A tie of collision and surface is a collision; what never ends sees infinity.
                 collided = inside & (t_collision <= si.t) & (t_collision <= s.far)
@@ -142,6 +168,22 @@ class NonexpVolpath(mi.SamplingIntegrator):
                 p = dr.select(collided, p, si.p)
             else:
                 collided, on_surface, p = mi.Bool(False), s.active, si.p
+            carried = s.throughput
+            if media and chromatic:
+                reached = si.t + gap + s.flown if null else si.t + gap
+                relative = extinction / dr.select(sigma_t > 0, sigma_t, 1)
+                depths = dr.select(
+                    collided,
+                    relative * (drawn if null else tau),
+                    optical_depth(extinction, reached),
+                )
+                densities = media.densities(
+                    s.location, s.from_particle, collided, depths, relative, drawn if null else tau
+                )
+                if media.tracks:
+                    densities *= tracked_balance
+                balance = dr.select(inside, balanced(s.balance, densities), s.balance)
+                carried = s.throughput * balance
 
             # --------------------------------------------------- emission met by the ray
             if needs.hittable_emitters:
@@ -149,14 +191,16 @@ class NonexpVolpath(mi.SamplingIntegrator):
                 lit = on_surface & (emitter != None)  # noqa: E711
                 if self.hide_emitters:
                     lit &= s.depth > 0
-                reference = dr.zeros(mi.Interaction3f)
-                reference.p = s.vertex if null else s.o
-                hit = mi.DirectionSample3f(scene, si, reference)
-                other_pdf = scene.pdf_emitter_direction(reference, hit, lit & ~s.certain)
-                weight = dr.select(s.certain, 1, _power_heuristic(s.pdf, other_pdf))
                 emitted = emitter.eval(si, lit)
+                weight = mi.Float(1)
+                if connections:
+                    reference = dr.zeros(mi.Interaction3f)
+                    reference.p = s.vertex if null else s.o
+                    hit = mi.DirectionSample3f(scene, si, reference)
+                    other_pdf = scene.pdf_emitter_direction(reference, hit, lit & ~s.certain)
+                    weight = dr.select(s.certain, 1, _power_heuristic(s.pdf, other_pdf))
                 s.radiance = dr.select(
-                    lit, dr.fma(s.throughput, emitted * weight, s.radiance), s.radiance
+                    lit, dr.fma(carried, emitted * weight, s.radiance), s.radiance
                 )
 
             on_surface &= si.is_valid()
@@ -167,12 +211,14 @@ class NonexpVolpath(mi.SamplingIntegrator):
                 0, time, wavelengths, p, dr.select(collided, 0, si.n) if media else si.n
             )
             last = s.depth + 1 >= self.max_depth
-            smooth = on_surface & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
             wo = mi.Vector3f(0, 0, 1)
-            if needs.emitters:
-                connecting = smooth & ~last
-                if media and media.some_sealed:
-                    connecting &= ~media.sealed(s.location) | si.is_medium_transition()
+            if connections:
+                connecting = mi.Bool(False)
+                if needs.smooth_surfaces:
+                    smooth = mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
+                    connecting = on_surface & smooth & ~last
+                    if media and media.some_sealed:
+                        connecting &= ~media.sealed(s.location) | si.is_medium_transition()
                 if media and media.connects:
                     connecting |= collided & ~last & media.collision_connects(s.location)
                 if media and needs.smooth_boundaries:
@@ -180,7 +226,7 @@ class NonexpVolpath(mi.SamplingIntegrator):
                 else:
                     leaving = partial(_stay, s.location)
                 ds, light = connect(
-                    scene, needs, media, vertex, leaving, collided, sampler.next_2d(), connecting
+                    scene, needs, media, vertex, leaving, collided, sampler, connecting
                 )
                 wo = ds.d
 
@@ -203,9 +249,9 @@ class NonexpVolpath(mi.SamplingIntegrator):
                 d = dr.select(collided, scatter.wo, d)
                 pdf = dr.select(collided, scatter.wo_pdf, pdf)
                 certain = dr.select(collided, ~media.collision_connects(s.location), certain)
-            if needs.emitters:
-                other_pdf = dr.select(ds.delta, 0, value_pdf)
-                contribution = s.throughput * value * light * _power_heuristic(ds.pdf, other_pdf)
+            if connections:
+                other_pdf = dr.select(ds.delta, 0, value_pdf) if needs.delta_emitters else value_pdf
+                contribution = carried * value * light * _power_heuristic(ds.pdf, other_pdf)
                 s.radiance = dr.select(connecting, s.radiance + contribution, s.radiance)
 
             # --------------------------------------------------- the next ray
@@ -227,14 +273,23 @@ class NonexpVolpath(mi.SamplingIntegrator):
                     # Straight through a surface inside one medium the flight goes on.
                     s.fresh = scattered | (beyond != s.location)
                     s.tau = dr.maximum(tau - sigma_t * (si.t + gap), 0)
-                s.from_particle = collided
+                if null and chromatic:
+                    s.drawn, s.flown = drawn, dr.select(s.fresh, 0, reached)
+                    balance = dr.select(s.fresh, balance, s.balance)
+                if chromatic:
+                    s.balance = mi.UnpolarizedSpectrum(balance)
+                if null and chromatic:
+                    s.from_particle = dr.select(s.fresh, collided, s.from_particle)
+                else:
+                    s.from_particle = collided
                 s.location = beyond
             if null:
                 s.vertex = dr.select(scattered, p, s.vertex)
 
             # --------------------------------------------------- termination
-            s.active &= dr.any(s.throughput != 0) & (s.depth < self.max_depth)
-            survival = dr.detach(dr.minimum(dr.max(s.throughput) * dr.square(s.eta), 0.95))
+            carried = s.throughput * s.balance if chromatic else s.throughput
+            s.active &= dr.any(carried != 0) & (s.depth < self.max_depth)
+            survival = dr.detach(dr.minimum(dr.max(carried) * dr.square(s.eta), 0.95))
             roulette = scattered & (s.depth > self.rr_depth)
             s.active &= ~roulette | (sampler.next_1d() < survival)
             s.throughput = dr.select(roulette, s.throughput * dr.rcp(survival), s.throughput)

@@ -1,4 +1,4 @@
-"""The command ``nonexp``: render scenes, list the models, check the machine."""
+"""The command ``nonexp``: render scenes, look into them, list the models, check the machine."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import argparse
 import contextlib
 import dataclasses
 import datetime
+import importlib
 import inspect
 import json
 import math
@@ -21,6 +22,7 @@ from . import __version__
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.table import Table
 
     from .rendering import Image
     from .scenefile import LoadedScene
@@ -33,6 +35,7 @@ EPILOG = """\
 examples:
   nonexp render scenes/dragon.xml
   nonexp render scenes/dragon.xml -D medium=gamma -D alpha=0.5 --spp 256 -o gamma.exr
+  nonexp info scenes/dragon.xml
   nonexp models
   nonexp plot gamma alpha=0.5 -o gamma.svg
   nonexp fit data.csv --model gamma --model linear -o fit.png
@@ -83,7 +86,7 @@ def _parser() -> Parser:
         "standard error as stderr.R, stderr.G, stderr.B, and how it was made as nonexp:... in the "
         "header) and a tone-mapped OUT.png beside it.",
     )
-    render.add_argument("scene", type=Path, metavar="SCENE.xml", help="Mitsuba scene file")
+    _add_scene(render)
     render.add_argument(
         "-o", "--output", type=Path, metavar="OUT.exr", help="default: the scene's name, here"
     )
@@ -94,19 +97,16 @@ def _parser() -> Parser:
         "--seed", type=_whole(0, MAX_SEED), default=0, metavar="S", help="default: 0"
     )
     render.add_argument("--size", type=_size, metavar="WxH", help="image size in pixels")
-    render.add_argument(
-        "--variant", metavar="V", help="Mitsuba variant (default: cuda_ad_rgb or llvm_ad_rgb)"
-    )
-    render.add_argument(
-        "-D",
-        dest="parameters",
-        type=_definition("medium=gamma"),
-        action="append",
-        default=[],
-        metavar="key=value",
-        help="parameter of the scene file, such as medium=gamma; may be repeated",
-    )
     render.set_defaults(run=_render)
+
+    info = commands.add_parser(
+        "info",
+        help="tell what a scene needs, and what its kernel leaves out",
+        description="Show what the integrator nonexp_volpath finds in a scene, and what it "
+        "therefore skips.",
+    )
+    _add_scene(info)
+    info.set_defaults(run=_info)
 
     models = commands.add_parser(
         "models",
@@ -193,6 +193,23 @@ def _add_fit(commands: Any) -> None:
     fit.set_defaults(run=_fit)
 
 
+def _add_scene(command: argparse.ArgumentParser) -> None:
+    """A scene file with its parameters, and the variant to load it in."""
+    command.add_argument("scene", type=Path, metavar="SCENE.xml", help="Mitsuba scene file")
+    command.add_argument(
+        "--variant", metavar="V", help="Mitsuba variant (default: cuda_ad_rgb or llvm_ad_rgb)"
+    )
+    command.add_argument(
+        "-D",
+        dest="parameters",
+        type=_definition("medium=gamma"),
+        action="append",
+        default=[],
+        metavar="key=value",
+        help="parameter of the scene file, such as medium=gamma; may be repeated",
+    )
+
+
 # --------------------------------------------------------------------- arguments
 
 
@@ -242,23 +259,12 @@ def _sigma_t(text: str) -> float | str:
 
 
 def _render(options: argparse.Namespace) -> int:
-    import mitsuba as mi
-
-    from . import machine, output, scenefile
+    from . import output
 
     target: Path = options.output or Path(options.scene.stem + ".exr")
-    parameters = dict(options.parameters)
     with _one_sentence():
         output.check(target)
-        mi.set_variant(machine.check_variant(options.variant))
-        mi.set_log_level(mi.LogLevel.Error)
-        loaded = scenefile.load(options.scene, parameters, options.size)
-    counterpart = loaded.exponential_counterpart()
-    if counterpart:
-        _note(
-            f"warning: integrator {counterpart} shows its exponential counterpart "
-            "(the scene holds a nonexp medium): use nonexp_volpath to see its own transmittance"
-        )
+    loaded = _load(options, options.size)
     with _one_sentence():
         image = _render_with_progress(loaded.scene, options)
         output.write(target, image, _metadata(options, loaded, image))
@@ -267,6 +273,25 @@ def _render(options: argparse.Namespace) -> int:
         f"pass{'es' if image.passes > 1 else ''}, {image.seconds:.1f} s"
     )
     return 0
+
+
+def _load(options: argparse.Namespace, size: tuple[int, int] | None = None) -> LoadedScene:
+    """The scene in the variant asked for; warns if its integrator ignores its media's laws."""
+    import mitsuba as mi
+
+    from . import machine, scenefile
+
+    with _one_sentence():
+        mi.set_variant(machine.check_variant(options.variant))
+        mi.set_log_level(mi.LogLevel.Error)
+        loaded = scenefile.load(options.scene, dict(options.parameters), size)
+    counterpart = loaded.exponential_counterpart()
+    if counterpart:
+        _note(
+            f"warning: integrator {counterpart} shows its exponential counterpart "
+            "(the scene holds a nonexp medium): use nonexp_volpath to see its own transmittance"
+        )
+    return loaded
 
 
 @contextlib.contextmanager
@@ -347,21 +372,36 @@ def _note(text: str) -> None:
     print(f"nonexp: {text}", file=sys.stderr)
 
 
+# --------------------------------------------------------------------- nonexp info
+
+
+def _info(options: argparse.Namespace) -> int:
+    from rich.text import Text
+
+    loaded = _load(options)
+    report = importlib.import_module("nonexp.integrators.report")
+    with _one_sentence():
+        findings = report.findings(loaded.scene)
+    console, table = _stdout(), _table("in the scene", "found", "in the kernel")
+    for finding in findings:
+        row = (finding.question, finding.answer, finding.consequence)
+        table.add_row(*(Text(cell) for cell in row))
+    console.print(table)
+    if not any(name.startswith("nonexp_") for name in loaded.integrators):
+        print(f"The scene's own integrator is {', '.join(loaded.integrators) or 'none'}.")
+    return 0
+
+
 # --------------------------------------------------------------------- nonexp models
 
 
 def _models(_options: argparse.Namespace) -> int:
-    from rich import box
-    from rich.table import Table
     from rich.text import Text
 
     from . import models, parameters
 
     console = _stdout()
-    style = box.ROUNDED if console.is_terminal else None
-    table = Table(box=style, show_lines=console.is_terminal, pad_edge=console.is_terminal)
-    for column in ("model", "transmittance", "parameters", "sigma_bar"):
-        table.add_column(column, no_wrap=not console.is_terminal)
+    table = _table("model", "transmittance", "parameters", "sigma_bar")
     for name in models.names():
         cls = models.registry[name]
         law = (inspect.getdoc(cls) or "").partition("\n")[0]
@@ -403,6 +443,18 @@ def _fit(options: argparse.Namespace) -> int:
     with _one_sentence():
         cli_models.fit(options, _stdout())
     return 0
+
+
+def _table(*columns: str) -> Table:
+    """An empty table: framed in a terminal, plain and unwrapped into a file or pipe."""
+    from rich import box
+    from rich.table import Table
+
+    terminal = _stdout().is_terminal
+    table = Table(box=box.ROUNDED if terminal else None, show_lines=terminal, pad_edge=terminal)
+    for column in columns:
+        table.add_column(column, no_wrap=not terminal)
+    return table
 
 
 # --------------------------------------------------------------------- nonexp doctor

@@ -32,7 +32,7 @@ class NonexpHomogeneous(mi.Medium):
     ``mi.traverse`` paths of Mitsuba's ``homogeneous``:
 
     ``sigma_t`` (float, rgb or spectrum, default 1)
-        Extinction per scene unit, >= 0, the same at all wavelengths.
+        Extinction per scene unit, >= 0.
     ``scale`` (float, default 1)
         Factor on the extinction, >= 0.
     ``albedo`` (float, rgb, spectrum or volume, default 0.75)
@@ -40,7 +40,8 @@ class NonexpHomogeneous(mi.Medium):
     ``sample_emitters`` (boolean, default true)
         Whether collisions connect to emitters directly (next-event estimation).
     nested phase function (default ``isotropic``)
-        Any phase function but microflakes.
+        Microflakes (``sggx``) multiply the extinction of a ray by their projected area along it;
+        their parameters must be constant in space.
     nested ``transmittance_<model>`` (default ``transmittance_exponential``)
         The law of transmittance over optical depth.
 
@@ -75,7 +76,7 @@ class NonexpHomogeneous(mi.Medium):
 
         self.transmittance = laws[0] if laws else _make("transmittance_exponential")
         self.scale = mi.Float(_number(props, "scale", 1.0))
-        self.sigma_t = _extinction_volume(props)
+        self.sigma_t, self._factor = _extinction_volume(props)
         self.albedo = _volume(props, "albedo", 0.75)
         self.m_is_homogeneous = True
         self.m_has_spectral_extinction = props.get("has_spectral_extinction", True)
@@ -89,9 +90,27 @@ class NonexpHomogeneous(mi.Medium):
         model: Transmittance = self.transmittance.model
         return model
 
-    def extinction(self) -> mi.Float:
-        """Extinction per scene unit, ``sigma_t * scale``."""
-        return self.sigma_t.eval(somewhere())[0] * self.scale
+    @property
+    def chromatic(self) -> bool:
+        """Whether extinction differs between channels or wavelengths."""
+        return self._chromatic
+
+    @property
+    def oriented(self) -> bool:
+        """Whether extinction depends on the direction of a ray."""
+        flags = self.phase_function().flags()
+        return bool(mi.has_flag(flags, mi.PhaseFunctionFlags.Microflake))
+
+    def extinction(self, mei: mi.MediumInteraction3f | None = None) -> Any:
+        """Extinction per scene unit, ``sigma_t * scale``, of a ray with the direction ``-mei.wi``.
+
+        A number, or a spectrum at ``mei.wavelengths`` if the medium is chromatic. ``mei`` is
+        needed only where the medium is chromatic in a spectral variant, or oriented.
+        """
+        mei = somewhere() if mei is None else mei
+        sigma_t = self.sigma_t.eval(mei) * (self.scale * self._factor)
+        sigma_t = sigma_t if self._chromatic else sigma_t[0]
+        return sigma_t * self.phase_function().projected_area(mei) if self.oriented else sigma_t
 
     def eval_albedo(self, mei: mi.MediumInteraction3f, active: Any = True) -> mi.Spectrum:
         """Albedo at a collision."""
@@ -114,23 +133,22 @@ class NonexpHomogeneous(mi.Medium):
         parameters = mi.traverse(self)
         own = [k for k in parameters.keys() if k.split(".")[0] in ("scale", "sigma_t", "albedo")]
         try:
-            scale, sigma_t = np.array(self.scale), _spectrum_of(self.sigma_t)
+            scale, sigma_t = np.array(self.scale), _spectrum_of(self.sigma_t) * self._factor
             if scale.size != 1:
                 raise ValueError(f"scale holds {scale.size} numbers: it must be one")
             _check_range("scale", scale, dr.inf)
             _check_range("sigma_t", sigma_t, dr.inf)
             with np.errstate(over="ignore"):
                 _check_range("sigma_t * scale", sigma_t * scale, dr.inf)
-            _check_grey(sigma_t)
             _check_range("albedo", _values_of(self.albedo), 1.0)
+            _check_microflakes(self.phase_function())
         except ValueError:
             for key, value in getattr(self, "_accepted", {}).items():
                 parameters[key] = value
             if hasattr(self, "_accepted"):
                 parameters.update()
             raise
-        if mi.has_flag(self.phase_function().flags(), mi.PhaseFunctionFlags.Microflake):
-            raise ValueError("phase is a microflake phase function: these are not supported yet")
+        self._chromatic = not grey(sigma_t)
         dr.make_opaque(self.scale)
         self._accepted = {key: type(parameters[key])(parameters[key]) for key in own}
 
@@ -141,7 +159,7 @@ class NonexpHomogeneous(mi.Medium):
 
     def get_majorant(self, mei: mi.MediumInteraction3f, active: Any = True) -> mi.Spectrum:
         _warn_counterpart()
-        return mi.UnpolarizedSpectrum(self.extinction() * self.model.sigma_bar) & active
+        return mi.UnpolarizedSpectrum(self.extinction(mei) * self.model.sigma_bar) & active
 
     def get_scattering_coefficients(
         self, mei: mi.MediumInteraction3f, active: Any = True
@@ -191,16 +209,20 @@ def _volume(props: mi.Properties, name: str, default: float) -> mi.Volume:
     return _make("constvolume", value=props.get_unbounded_texture(name))
 
 
-def _extinction_volume(props: mi.Properties) -> mi.Volume:
+def _extinction_volume(props: mi.Properties) -> tuple[mi.Volume, float]:
+    """A volume, and a factor on it."""
+    if mi.is_spectral and "sigma_t" in props and props.type("sigma_t") == mi.Properties.Type.Color:
+        # Mitsuba makes a spectrum of an rgb colour only within [0, 1]; a grey one needs none.
+        rgb = np.array(props["sigma_t"], dtype=float).ravel()
+        _check_range("sigma_t", rgb, dr.inf)
+        if grey(rgb):
+            return _make("constvolume", value=float(rgb[0])), 1.0
+        factor = max(1.0, float(rgb.max()))
+        return _make("constvolume", value=mi.ScalarColor3f(*(rgb / factor))), factor
     volume = _volume(props, "sigma_t", 1.0)
     if volume.class_name() != "ConstVolume":
         raise ValueError(f"sigma_t is a {volume.class_name()}: it must be constant in space")
-    if mi.is_spectral and "sigma_t" in props and props.type("sigma_t") == mi.Properties.Type.Color:
-        # Mitsuba would clip an rgb extinction above 1; a grey one needs no spectrum.
-        rgb = np.array(props["sigma_t"]).ravel()
-        _check_grey(rgb)
-        return _make("constvolume", value=float(rgb[0]))
-    return volume
+    return volume, 1.0
 
 
 def _check_literal(props: mi.Properties, name: str) -> None:
@@ -220,12 +242,13 @@ def _check_range(name: str, values: Any, upper: float) -> None:
         raise ValueError(f"{name} is {bad.flat[0]:g}: it must be {allowed}")
 
 
-def _check_grey(sigma_t: Any) -> None:
-    if not grey(sigma_t):
-        raise ValueError(
-            f"sigma_t runs from {np.min(sigma_t):g} to {np.max(sigma_t):g} over the wavelengths: "
-            "extinction that differs between them is not supported yet, use one value"
-        )
+def _check_microflakes(phase: mi.PhaseFunction) -> None:
+    if not mi.has_flag(phase.flags(), mi.PhaseFunctionFlags.Microflake):
+        return
+    for name, value in mi.traverse(phase):
+        values = np.array(value)
+        if values.ndim > 1 and not np.all(values == values.reshape(-1, values.shape[-1])[0]):
+            raise ValueError(f"phase.{name} varies in space: in a homogeneous medium it must not")
 
 
 def _spectrum_of(volume: mi.Volume) -> Any:

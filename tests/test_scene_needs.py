@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import re
+import tempfile
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import drjit as dr
@@ -29,10 +34,12 @@ def test_an_empty_scene_needs_nothing() -> None:
     assert needs(camera=perspective([0, 0, 4], [0, 0, 0])) == SceneNeeds(
         media=(),
         sealed=(),
+        smooth_surfaces=False,
         smooth_boundaries=False,
         null_surfaces=False,
         emitters=False,
         hittable_emitters=False,
+        delta_emitters=False,
         infinite_emitters=False,
     )
 
@@ -58,6 +65,17 @@ def test_surfaces() -> None:
     assert found.null_surfaces and len(found.media) == 1
 
 
+def pierced(shape: dict[str, Any], missing: int) -> dict[str, Any]:
+    """A tetrahedron without its last faces, as a mesh with three vertices per face."""
+    corners = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]], dtype=float)
+    faces = [[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]][: 4 - missing]
+    lines = [f"v {x} {y} {z}" for face in faces for x, y, z in corners[face]]
+    lines += [f"f {3 * i + 1} {3 * i + 2} {3 * i + 3}" for i in range(len(faces))]
+    path = Path(tempfile.mkdtemp()) / "tetrahedron.obj"
+    path.write_text("\n".join(lines), encoding="utf-8")
+    return {**shape, "type": "obj", "filename": str(path)}
+
+
 @pytest.mark.parametrize(
     ("sealed", "parts"),
     [
@@ -68,12 +86,15 @@ def test_surfaces() -> None:
         (False, {"ball": {**ball(medium(), "dielectric"), "flip_normals": True}, "lamp": LAMP}),
         (False, {"ball": ball(medium(), "dielectric", radius=3.5), "lamp": LAMP}),
         (False, {"ball": ball(medium(), "dielectric"), "lamp": {"type": "point"}}),
-        (False, {"ball": {**ball(medium(), "dielectric"), "type": "cube"}, "lamp": LAMP}),
+        (True, {"ball": {**ball(medium(), "dielectric"), "type": "cube"}, "lamp": LAMP}),
+        (True, {"ball": pierced(ball(medium(), "dielectric"), 0), "lamp": LAMP}),
+        (False, {"ball": pierced(ball(medium(), "dielectric"), 1), "lamp": LAMP}),
         (False, {"ball": {**ball(medium(), "dielectric"), "type": "disk"}, "lamp": LAMP}),
     ],
 )
 def test_sealed_media(sealed: bool, parts: dict[str, Any]) -> None:
-    parts["ball"].pop("radius") if parts["ball"]["type"] != "sphere" else None
+    if parts["ball"]["type"] != "sphere":
+        parts["ball"].pop("radius", None)
     assert bool(needs(**parts).sealed) == sealed
 
 
@@ -89,17 +110,44 @@ def test_the_sensors_medium_is_not_sealed() -> None:
 # ------------------------------------------------------------------------------- the kernel
 
 
-def operations(integrator: str = "nonexp_volpath", **parts: Any) -> int:
-    """Operations in the kernel that traces the paths."""
-    built = scene(integrator, sensor=perspective([0, 0, 4], [0, 0, 0]), **parts)
+@dataclass
+class Kernel:
+    """What the kernel that traces the paths is made of."""
+
+    operations: int
+    loops: set[str]
+    calls: Counter[str]
+    """indirect calls in the program by what is called: ``Emitter::eval()``, or a label"""
+    functions: int
+    """distinct functions behind these calls"""
+
+
+def traced(built: Any) -> Kernel:
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
         dr.kernel_history_clear()
         radiance(built, 16, 1)
-        counts = [k["operation_count"] for k in dr.kernel_history([dr.KernelType.JIT])]
-    return max(counts)
+        kernels = dr.kernel_history([dr.KernelType.JIT])
+    largest = max(kernels, key=lambda k: k["operation_count"])
+    program = largest["ir"].getvalue()
+    return Kernel(
+        largest["operation_count"],
+        set(re.findall(r"; Symbolic loop: nonexp: (.*)", program)),
+        Counter(re.findall(r"; Call: (.*)", program)),
+        len(set(re.findall(r"func_[0-9a-f]+", program))),
+    )
+
+
+def kernel(integrator: str = "nonexp_volpath", **parts: Any) -> Kernel:
+    return traced(scene(integrator, sensor=perspective([0, 0, 4], [0, 0, 0]), **parts))
+
+
+def operations(integrator: str = "nonexp_volpath", **parts: Any) -> int:
+    return kernel(integrator, **parts).operations
 
 
 GLASS = {"type": "sphere", "bsdf": {"type": "dielectric"}}
+GOLD = {"type": "sphere", "center": [0, 0, 3], "bsdf": {"type": "conductor", "material": "Au"}}
+DIFFUSE = {"type": "sphere", "center": [0, -5, 0], "bsdf": {"type": "diffuse"}}
 
 
 def test_no_medium_no_trace_of_one() -> None:
@@ -167,3 +215,90 @@ def test_a_render_can_be_frozen() -> None:
     for seed in range(3):
         replayed = np.array(frozen(built, mi.UInt32(seed)))
         np.testing.assert_array_equal(replayed, np.array(mi.render(built, spp=4, seed=seed)))
+
+
+def fog(model: str = "exponential", **kw: Any) -> dict[str, Any]:
+    return {"ball": ball(medium(model, **kw)), "lamp": LAMP}
+
+
+def test_grey_extinction_holds_no_spectra() -> None:
+    """However it is written; colour costs a tenth more at least, and only then."""
+    grey = operations(**fog(sigma_t=0.7))
+    assert operations(**fog(sigma_t={"type": "rgb", "value": [0.7, 0.7, 0.7]})) == grey
+    assert operations(**fog(sigma_t={"type": "rgb", "value": [0.7, 0.7, 0.1]})) > 1.1 * grey
+
+
+def test_tracking_only_for_heterogeneous_media() -> None:
+    values = mi.VolumeGrid(np.ones((2, 2, 2, 1), dtype=np.float32))
+    cloud = {"type": "heterogeneous", "sigma_t": {"type": "gridvolume", "grid": values}}
+    for inside in (medium(), stock()):
+        assert kernel(ball=ball(inside), lamp=LAMP).loops == {"path", "shadow ray"}
+    tracking = {"path", "shadow ray", "delta tracking", "ratio tracking"}
+    assert kernel(ball=ball(cloud), lamp=LAMP).loops == tracking
+
+
+def test_shadow_rays_without_null_surfaces_are_occlusion_tests() -> None:
+    rough = {"type": "roughdielectric"}
+    assert kernel(ball=ball(medium(), rough), lamp=LAMP).loops == {"path"}
+    assert kernel(ball=ball(medium(), "null"), lamp=LAMP).loops == {"path", "shadow ray"}
+
+
+def test_no_connections_where_nothing_could_use_them() -> None:
+    """Smooth glass and gold only, and a medium that does not connect."""
+    inside = medium(sample_emitters=False)
+    parts = {"ball": ball(inside, "dielectric"), "gold": GOLD, "sky": FURNACE}
+    quiet = kernel(**parts).calls
+    assert "Emitter::eval()" in quiet
+    assert not {"Emitter::sample_direction()", "Emitter::pdf_direction()"} & set(quiet)
+    assert "Emitter::sample_direction()" in kernel(**parts, floor=DIFFUSE).calls
+
+
+def test_points_and_directions_are_not_looked_for_on_surfaces() -> None:
+    calls = kernel(floor=DIFFUSE, lamp={"type": "point", "position": [0, 3, 0]}).calls
+    assert "Emitter::sample_direction()" in calls and "Emitter::eval()" not in calls
+    assert "Emitter::eval()" in kernel(floor=DIFFUSE, lamp=LAMP).calls
+
+
+def test_no_medium_is_called_in_the_scene_of_one() -> None:
+    """One medium is called directly, several through an index, those of other scenes never."""
+
+    def balls(*insides: Any) -> dict[str, Any]:
+        shapes = {f"b{i}": {**ball(m), "center": [3 * i, 0, 0]} for i, m in enumerate(insides)}
+        return {**shapes, "lamp": LAMP}
+
+    laws = [medium("exponential"), medium("gamma"), medium("linear"), medium("quadratic")]
+    alone = kernel(**balls(laws[0]))
+    kept = scene(**balls(*laws))
+    assert kernel(**balls(laws[0])) == alone
+    assert not [call for call in alone.calls if "Medium" in call or "Phase" in call]
+    functions = [kernel(**balls(*laws[:n])).functions for n in (2, 3, 4)]
+    # A flight and a survival for each law; equal phase functions are one.
+    assert np.all(np.diff(functions) == 2), functions
+    assert kept is not None
+
+
+def test_updates_change_what_is_traced() -> None:
+    """Needs are looked up anew for every render."""
+    camera = perspective([0, 0, 4], [0, 0, 0])
+    built = scene(sensor=camera, **fog(sigma_t={"type": "rgb", "value": [0.7, 0.7, 0.7]}))
+    parameters = mi.traverse(built)
+    (key,) = (k for k in parameters.keys() if k.endswith("sigma_t.value.value"))
+
+    def after(*value: float) -> Kernel:
+        parameters[key] = mi.Color3f(*value)
+        parameters.update()
+        return traced(built)
+
+    grey = traced(built)
+    assert after(0.7, 0.7, 0.1).operations > 1.1 * grey.operations
+    assert after(0, 0, 0).operations < 0.8 * grey.operations
+    assert after(0.5, 0.5, 0.5) == grey
+
+
+def test_glass_that_grows_around_a_lamp_is_open_to_it() -> None:
+    built = scene(ball=ball(medium(), "dielectric"), lamp=LAMP)
+    parameters = mi.traverse(built)
+    assert SceneNeeds.of(built).sealed
+    parameters["ball.to_world"] = mi.Transform4f().scale(4.0)
+    parameters.update()
+    assert not SceneNeeds.of(built).sealed

@@ -13,10 +13,10 @@ TARGET = Path(__file__).resolve().parent.parent / "docs" / "models.md"
 HEAD = """\
 # Models
 
-Written by `tools/model_reference.py` from the docstrings of `nonexp/models/`; `nonexp models` prints
-the short form, `nonexp plot MODEL` draws one. `T` is the transmittance between two points that are
-not correlated with the scatterers, over optical depth `tau`; `sigma_bar = -T'(0)` the mean
-extinction per unit of it. See [accuracy.md](accuracy.md) for the errors in single precision.
+Written by `tools/model_reference.py` from the docstrings of `nonexp/models/`; `nonexp models`
+prints the short form, `nonexp plot MODEL` draws one. `T` is the transmittance between two points
+that are not correlated with the scatterers, over optical depth `tau`; `sigma_bar = -T'(0)` the
+mean extinction per unit of it. See [accuracy.md](accuracy.md) for the errors in single precision.
 """
 
 
@@ -24,7 +24,8 @@ def page(key: str) -> str:
     cls = models.registry[key]
     model = models.create(key, **cls.examples[0])
     fields = dataclasses.fields(cls)  # type: ignore[arg-type]
-    lines = [f"## {key}", "", (inspect.getdoc(cls) or "").replace("*", "\\*").replace("``", "`"), ""]
+    manual = (inspect.getdoc(cls) or "").replace("*", "\\*").replace("``", "`")
+    lines = [f"## {key}", "", manual, ""]
     lines += ["| parameter | meaning |", "|---|---|"] if fields else ["No parameters.", ""]
     for field in fields:
         name, _, doc = parameters.describe(field).partition(": ")

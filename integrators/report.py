@@ -1,0 +1,128 @@
+"""What the integrator found in a scene, and what it therefore leaves out: for people to read."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from nonexp.spectra import visible
+
+from .entries import Entry, Tracked
+from .media import Media, OneMedium, scene_media
+from .scene_needs import SceneNeeds
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One question about a scene, its answer, and what follows for the kernel."""
+
+    question: str
+    answer: str
+    consequence: str
+
+
+def findings(scene: mi.Scene) -> list[Finding]:
+    """All that shapes the kernel of ``nonexp_volpath`` on this scene, from its first sensor."""
+    sensors = scene.sensors()
+    start = sensors[0].get_medium() if sensors else None
+    needs = SceneNeeds.of(scene, start)
+    media = scene_media(needs)
+    emitters = Counter(emitter.class_name() for emitter in scene.emitters())
+    return [
+        *_media(needs, media),
+        _null(needs),
+        Finding(
+            "emitters",
+            ", ".join(f"{n} {name}" if n > 1 else name for name, n in emitters.items()) or "none",
+            _emitters(needs),
+        ),
+        _connections(needs, media),
+    ]
+
+
+def _media(needs: SceneNeeds, media: Media | None) -> list[Finding]:
+    empty = len(needs.media) - (len(media.entries) if media else 0)
+    vacuum = f" (and {empty} in which nothing collides)" if empty else ""
+    if media is None:
+        return [Finding("media", f"none{vacuum}", "skipped: flights, phase functions, albedo")]
+    if isinstance(media, OneMedium):
+        how = "called directly; a ray carries a mask, no index"
+    else:
+        how = "one indirect call each, only these media traced"
+    rows = [Finding("media", f"{len(media.entries)}{vacuum}", how)]
+    for number, entry in enumerate(media.entries, 1):
+        rows.append(Finding(f"medium {number}", _describe(entry), _medium_effect(entry)))
+    if media.chromatic:
+        colour = "one hero channel per path, weighted over all channels"
+        rows.append(Finding("extinction", "differs between channels", colour))
+    else:
+        rows.append(Finding("extinction", "the same in all channels", "skipped: spectral weights"))
+    if media.tracks:
+        rows.append(
+            Finding("heterogeneous media", "some", "null collisions, in loops of their own")
+        )
+    else:
+        rows.append(Finding("heterogeneous media", "none", "skipped: null collisions"))
+    return rows
+
+
+def _describe(entry: Entry) -> str:
+    name = entry.pointer.id() or type(entry.pointer).__name__
+    if isinstance(entry, Tracked):
+        return f"{name}: exponential, heterogeneous"
+    texture = getattr(entry.pointer, "transmittance", None)
+    law = texture.to_string().removeprefix("transmittance_") if texture else "exponential"
+    mei = visible()
+    mei.wi = mi.Vector3f(0, 0, 1)
+    sigma_t = np.unique(np.round(np.array(dr.detach(entry.extinction(mei))), 6))
+    shown = f"{sigma_t[0]:g}" if len(sigma_t) == 1 else f"{sigma_t[0]:g} to {sigma_t[-1]:g}"
+    phase = entry.pointer.phase_function().class_name()
+    return f"{name}: {law}, sigma_t {shown}, {phase}"
+
+
+def _medium_effect(entry: Entry) -> str:
+    if entry.sealed:
+        return "closed, no emitter within: no connections from inside"
+    if not entry.connects:
+        return "sample_emitters is off: no connections from collisions"
+    return "collisions connect to emitters"
+
+
+def _null(needs: SceneNeeds) -> Finding:
+    if needs.null_surfaces:
+        answer, effect = "some", "shadow rays walk through them; flights go on behind them"
+    else:
+        answer, effect = "none", "skipped: walks; a shadow ray is one occlusion test"
+    return Finding("surfaces that let rays straight through", answer, effect)
+
+
+def _emitters(needs: SceneNeeds) -> str:
+    skipped = []
+    if not needs.emitters:
+        return "skipped: connections, emission"
+    if not needs.hittable_emitters:
+        skipped.append("emission met by rays")
+    if not needs.delta_emitters:
+        skipped.append("points and directions")
+    if not needs.infinite_emitters:
+        skipped.append("light from infinity")
+    return f"skipped: {', '.join(skipped)}" if skipped else "all kinds"
+
+
+def _connections(needs: SceneNeeds, media: Media | None) -> Finding:
+    ends = []
+    if needs.smooth_surfaces:
+        ends.append("surfaces")
+    if media and media.connects:
+        ends.append("collisions")
+    if not (needs.emitters and ends):
+        return Finding("connections to emitters", "none", "skipped: shadow rays, two-way weights")
+    return Finding(
+        "connections to emitters",
+        f"from {' and '.join(ends)}",
+        "skipped: media on shadow rays" if media and media.all_sealed else "shadow rays",
+    )

@@ -1,0 +1,95 @@
+"""Flights through heterogeneous exponential media, with null collisions.
+
+Delta tracking finds the next collision, ratio tracking estimates a transmittance; both step from
+one tentative collision of the majorant to the next. They hold for the exponential law alone, whose
+flights have no memory.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from nonexp.numerics import log1p
+
+from .media import Media
+from .spectral import at_channel, balanced
+
+
+@dataclass
+class _Track:
+    """State on the way along a ray."""
+
+    t: Any
+    """distance from the ray's origin"""
+    stepping: Any
+    """neither collided nor at the end"""
+    collided: Any
+    """at a real collision"""
+    weight: Any
+    """the channels' densities of the steps so far, or the transmittance"""
+
+
+def next_collision(
+    media: Media, location: Any, ray: Any, end: Any, hero: Any, sampler: Any, active: Any
+) -> tuple[Any, Any]:
+    """Distance of the next real collision on ``ray`` before ``end``, infinite if there is none.
+
+    Also returns, in chromatic scenes, the channels' densities of this flight relative to their
+    mean; ``hero`` is the channel that draws it.
+    """
+
+    def step(sampler: Any, s: _Track) -> tuple[Any, _Track]:
+        s.t = s.t - log1p(-sampler.next_1d(s.stepping)) / majorant
+        s.stepping &= s.t < far
+        sigma_n, sigma_t = media.coefficients(location, _at(ray, s.t), s.stepping)
+        own = at_channel(sigma_t, hero) if media.chromatic else sigma_t[0]
+        real = s.stepping & (sampler.next_1d(s.stepping) * majorant < own)
+        if media.chromatic:
+            balance = balanced(s.weight, dr.select(real, sigma_t, sigma_n))
+            s.weight = mi.UnpolarizedSpectrum(dr.select(s.stepping, balance, s.weight))
+        s.collided |= real
+        s.stepping &= ~real
+        return sampler, s
+
+    near, far, majorant = media.bounds(location, ray)
+    far = dr.minimum(far, end)
+    state = _Track(near, active & (near < far), mi.Bool(False), mi.UnpolarizedSpectrum(1))
+    _, found = dr.while_loop(
+        (sampler, state), lambda sampler, s: s.stepping, step, label="nonexp: delta tracking"
+    )
+    return dr.select(found.collided, found.t, dr.inf), found.weight
+
+
+def transmittance(
+    media: Media, location: Any, ray: Any, end: Any, sampler: Any, active: Any
+) -> Any:
+    """Unbiased estimate of the transmittance along ``ray`` up to ``end``, a spectrum."""
+
+    def step(sampler: Any, s: _Track) -> tuple[Any, _Track]:
+        s.t = s.t - log1p(-sampler.next_1d(s.stepping)) / majorant
+        s.stepping &= s.t < far
+        sigma_n, _ = media.coefficients(location, _at(ray, s.t), s.stepping)
+        weight = s.weight * (sigma_n / majorant)
+        s.weight = mi.UnpolarizedSpectrum(dr.select(s.stepping, weight, s.weight))
+        s.stepping &= dr.any(s.weight != 0)
+        return sampler, s
+
+    near, far, majorant = media.bounds(location, ray)
+    far = dr.minimum(far, end)
+    state = _Track(near, active & (near < far), mi.Bool(False), mi.UnpolarizedSpectrum(1))
+    _, found = dr.while_loop(
+        (sampler, state), lambda sampler, s: s.stepping, step, label="nonexp: ratio tracking"
+    )
+    return found.weight
+
+
+def _at(ray: Any, t: Any) -> Any:
+    mei = dr.zeros(mi.MediumInteraction3f)
+    mei.p, mei.wi, mei.t = ray(t), -ray.d, t
+    mei.time, mei.wavelengths = ray.time, ray.wavelengths
+    mei.sh_frame = mi.Frame3f(mei.wi)
+    return mei

@@ -1,0 +1,67 @@
+"""``nonexp info``: what a scene needs, as a table."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from nonexp import cli
+
+DRAGON = str(Path(__file__).resolve().parent.parent / "scenes" / "dragon.xml")
+
+
+def table(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, tuple[str, str]]:
+    assert cli.main(["info", *arguments]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    rows = [re.split(r" {2,}", line.rstrip()) for line in lines[1:]]
+    return {row[0]: (row[1], row[2]) for row in rows if len(row) == 3}
+
+
+def test_dragon(capsys: pytest.CaptureFixture[str]) -> None:
+    found = table(capsys, DRAGON, "-D", "medium=gamma")
+    assert found["media"][0] == "1"
+    assert found["medium 1"][0].startswith("medium: gamma[alpha=0.5], sigma_t 1.2")
+    assert found["medium 1"][1] == "closed, no emitter within: no connections from inside"
+    assert found["surfaces that let rays straight through"][0] == "none"
+    assert found["connections to emitters"] == ("from surfaces", "skipped: media on shadow rays")
+
+
+def test_vacuum(capsys: pytest.CaptureFixture[str]) -> None:
+    for parameter in ("medium=constant", "sigma_t=0"):
+        found = table(capsys, DRAGON, "-D", parameter)
+        answer = "none (and 1 in which nothing collides)"
+        assert found["media"] == (answer, "skipped: flights, phase functions, albedo")
+
+
+def test_colour_and_null_surfaces(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "fog.xml"
+    path.write_text(
+        """<scene version="3.9.0"><integrator type="nonexp_volpath"/><sensor type="perspective"/>
+        <shape type="sphere"><bsdf type="null"/>
+            <medium type="nonexp_homogeneous" name="interior">
+                <rgb name="sigma_t" value="3, 2, 1"/></medium>
+        </shape>
+        <emitter type="point"><point name="position" x="0" y="3" z="0"/></emitter>
+        </scene>""",
+        encoding="utf-8",
+    )
+    found = table(capsys, str(path))
+    assert found["extinction"][0] == "differs between channels"
+    assert "sigma_t 1 to 3" in found["medium 1"][0]
+    assert found["surfaces that let rays straight through"][0] == "some"
+    assert found["emitters"] == ("PointLight", "skipped: emission met by rays, light from infinity")
+    assert found["connections to emitters"] == ("from collisions", "shadow rays")
+
+
+def test_a_foreign_integrator_is_warned_of(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["info", DRAGON, "-D", "integrator=volpath"]) == 0
+    captured = capsys.readouterr()
+    assert "The scene's own integrator is volpath." in captured.out
+    assert "shows its exponential counterpart" in captured.err
+
+
+def test_a_missing_scene_is_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["info", "nowhere.xml"]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
