@@ -10,6 +10,7 @@ import mitsuba as mi
 
 from . import tracking
 from .media import Media
+from .offset import Offset
 from .scene_needs import SceneNeeds
 
 
@@ -37,6 +38,7 @@ def connect(
     scene: mi.Scene,
     needs: SceneNeeds,
     media: Media | None,
+    offset: Offset,
     vertex: mi.Interaction3f,
     location: Any,
     from_particle: Any,
@@ -50,13 +52,16 @@ def connect(
     """
     if media and media.all_sealed:
         media = None
-    ds, light = scene.sample_emitter_direction(
-        vertex, sampler.next_2d(), not needs.null_surfaces, active
-    )
+    ds, light = scene.sample_emitter_direction(vertex, sampler.next_2d(), False, active)
     active = active & (ds.pdf != 0)
+    ray = offset.segment(vertex, ds.p)
+    if not needs.null_surfaces:
+        active &= ~scene.ray_test(ray, active)
     light = dr.select(active, light, 0)
     if needs.null_surfaces:
-        light *= _walk(scene, needs, media, vertex, ds, location, from_particle, sampler, active)
+        light *= _walk(
+            scene, needs, media, offset, vertex, ds, ray, location, from_particle, sampler, active
+        )
     elif media:
         start = location(ds.d)
         distance = _distance(needs, ds, ds.dist)
@@ -96,8 +101,10 @@ def _walk(
     scene: mi.Scene,
     needs: SceneNeeds,
     media: Media | None,
+    offset: Offset,
     vertex: mi.Interaction3f,
     ds: mi.DirectionSample3f,
+    ray: mi.Ray3f,
     location: Any,
     from_particle: Any,
     sampler: mi.Sampler,
@@ -122,7 +129,8 @@ def _walk(
             blocked = hit & ~mi.has_flag(si.bsdf().flags(), mi.BSDFFlags.Null)
             s.transmittance = dr.select(blocked, 0, s.transmittance)
         if media:
-            length = dr.select(hit, dr.dot(si.p - s.start, ds.d), remaining(s))
+            # Rounding may put a surface before the one left behind.
+            length = dr.maximum(dr.select(hit, dr.dot(si.p - s.start, ds.d), remaining(s)), 0)
             inside = s.active & media.inside(s.location)
             tau = optical_depth(media.sigma_t(s.location, sight(vertex, ds.d)), length)
             s.tau = type(s.tau)(dr.select(inside, s.tau + tau, s.tau))
@@ -140,7 +148,7 @@ def _walk(
             s.from_particle &= ~left
             s.location = beyond
             s.start = si.p
-        s.ray = si.spawn_ray_to(ds.p)
+        s.ray = offset.segment(si, ds.p)
         s.active = hit & dr.any(s.transmittance != 0)
         return sampler, s
 
@@ -148,7 +156,7 @@ def _walk(
     flags = mi.RayFlags.All if needs.partial_surfaces else mi.RayFlags.Minimal
     start = location(ds.d) if media else None
     state = _Ray(
-        ray=vertex.spawn_ray_to(ds.p),
+        ray=ray,
         start=mi.Point3f(vertex.p) if media else None,
         location=start,
         tau=mi.UnpolarizedSpectrum(0) if media and media.chromatic else mi.Float(0),

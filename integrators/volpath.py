@@ -15,6 +15,7 @@ import mitsuba as mi
 from . import tracking
 from .connection import connect, optical_depth, sight
 from .media import scene_media
+from .offset import Offset
 from .scene_needs import SceneNeeds
 from .spectral import at_channel, balanced, draw_channel
 
@@ -104,6 +105,7 @@ class NonexpVolpath(mi.SamplingIntegrator):
         needs = SceneNeeds.of(scene, medium)
         media = scene_media(needs)
         null = needs.null_surfaces
+        offset = Offset(scene)
         start = media.at(mi.MediumPtr(medium)) if media else None
         chromatic = bool(media and media.chromatic)
         hero = draw_channel(sampler.next_1d()) if chromatic else None
@@ -226,7 +228,15 @@ class NonexpVolpath(mi.SamplingIntegrator):
                 else:
                     leaving = partial(_stay, s.location)
                 ds, light = connect(
-                    scene, needs, media, vertex, leaving, collided, sampler, connecting
+                    scene,
+                    needs,
+                    media,
+                    offset,
+                    vertex,
+                    leaving,
+                    collided,
+                    sampler,
+                    connecting,
                 )
                 wo = ds.d
 
@@ -265,7 +275,7 @@ class NonexpVolpath(mi.SamplingIntegrator):
             s.depth = dr.select(scattered, s.depth + 1, s.depth)
             s.pdf = dr.select(scattered, pdf, s.pdf)
             s.certain = dr.select(scattered, certain, s.certain)
-            s.o, s.d = vertex.spawn_ray(d).o, d
+            s.o, s.d = offset.onward(vertex, d), d
             if media:
                 s.offset = mi.Vector3f(s.o - p)
                 beyond = media.behind(si, on_surface, s.location, d)

@@ -337,6 +337,8 @@ class _Coordinate:
     log: bool = False
     low: float = -math.inf
     high: float = math.inf
+    unit: float = 1.0
+    """of a quantity that is not a logarithm"""
 
     @property
     def label(self) -> str:
@@ -520,7 +522,7 @@ class _Task:
         values, sigma_t = dict(held), self.sigma_t or 1.0
         vectors: dict[str, list[float]] = {}
         for c, u in zip(coordinates, at, strict=True):
-            number = math.exp(u) if c.log else float(u)
+            number = math.exp(u) if c.log else float(u) * c.unit
             if c.name == "sigma_t":
                 sigma_t = number
             elif c.item is None:
@@ -533,6 +535,13 @@ class _Task:
                 items = [item / total for item in (*items, 1)]
             values[name] = tuple(items)
         return values, sigma_t
+
+    def _allowed(self, values: dict[str, Any]) -> bool:
+        try:
+            models.create(self.name, **values)
+        except ValueError:
+            return False
+        return True
 
     def _residuals(self, tau_values: tuple[dict[str, Any], float]) -> Array:
         values, sigma_t = tau_values
@@ -553,10 +562,11 @@ class _Task:
         positive = self.x[self.x > 0]
         low, high = 0.01 / positive.max(), 100 / positive.min()
         scales = np.geomspace(low, high, 1 + math.ceil(6 * math.log10(high / low)))
-        every = self.transmittance(start, np.outer(scales, self.x).ravel())
-        difference = every.reshape(len(scales), -1) - self.y
+        few = slice(None, None, 1 + len(self.x) // 200)
+        every = self.transmittance(start, np.outer(scales, self.x[few]).ravel())
+        difference = every.reshape(len(scales), -1) - self.y[few]
         if self.deviations is not None:
-            difference = difference / self.deviations
+            difference = difference / self.deviations[few]
         sums = np.nan_to_num(np.sum(difference**2, axis=1), nan=np.inf)
         best = int(np.argmin(sums))
         return float(sums[best]), float(scales[best]) / (self.sigma_t or 1)
@@ -589,6 +599,8 @@ class _Task:
             )
             limits = result.active_mask
             at = np.select([limits < 0, limits > 0], bounds, result.x)
+            if not self._allowed(self._values(start, coordinates, at)[0]):
+                at = result.x
             chi2 = float(2 * result.cost)
             found.append(_Solution(start, tuple(coordinates), at, chi2, result.jac, limits != 0))
         return min(found, key=lambda solution: solution.chi2)
@@ -726,7 +738,7 @@ class _Task:
         values = self._flat(solution, solution.at)
         gradient = self._gradient(solution)
         covariance = gradient @ inner @ gradient.T
-        errors = np.sqrt(np.diag(covariance))
+        errors = np.sqrt(np.maximum(np.diag(covariance), 0))
         size = np.abs([*values.values()]) + 1e-300
         for direction in blind:
             errors[np.abs(gradient @ direction) > 1e-6 * size * np.linalg.norm(direction)] = np.inf
@@ -757,14 +769,16 @@ class _Task:
             for sign in (-1, 1):
                 at = solution.at.copy()
                 at[i] = min(max(at[i] + sign * step, c.low), c.high)
+                if not self._allowed(self._values(solution.held, solution.coordinates, at)[0]):
+                    at = solution.at
                 ends.append((at[i], np.array([*self._flat(solution, at).values()])))
             (low, before), (high, after) = ends
-            columns.append((after - before) / (high - low))
+            columns.append((after - before) / max(high - low, 1e-300))
         rows = len(self._flat(solution, solution.at))
         return np.array(columns).T if columns else np.zeros((rows, 0))
 
 
-# ----------------------------------------------------------------------------------------- helpers
+# --------------------------------------------------------------------------------------- helpers
 
 
 def _coordinate(
@@ -776,11 +790,12 @@ def _coordinate(
         floor = math.log(low) if low > 0 else -math.inf
         u = math.log(max(value, 1.01 * low))
         return _Coordinate(name, item, True, max(floor, u - _REACH), u + _REACH), u
+    low, high, u = low / unit, high / unit, value / unit
+    width = high - low if high - low < math.inf else 1.0
     if allowed.above > -math.inf:
-        low += 1e-9 * (high - low if high < math.inf else unit)
-    margin = 0.05 * (high - low if high - low < math.inf else unit)
-    u = min(max(value, low + margin), high - margin)
-    return _Coordinate(name, item, False, low, high), u
+        low += 1e-9 * width
+    u = min(max(u, low + 0.05 * width), high - 0.05 * width)
+    return _Coordinate(name, item, False, low, high, unit), u
 
 
 def _at_limit(c: _Coordinate, u: float, kind: Any) -> bool:

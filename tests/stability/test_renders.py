@@ -76,19 +76,14 @@ def test_scaled_scene_is_the_same_image(case: Case, scale: float, effort: int) -
 
 
 @every_law
-@pytest.mark.parametrize("scale", [1e-2, 1e-3])
-def test_small_scene_is_the_same_but_for_the_offset_of_rays(case: Case, scale: float) -> None:
-    """Same random numbers, so that nothing but the relative size of the offset differs."""
-    one, scaled = (radiance(world(case, s), 2**18, 3) for s in (1.0, scale))
-    assert abs(physical(scaled).mean() / one.mean() - 1) < 1e-4 / scale
-
-
-@every_law
-def test_scene_smaller_than_the_offset_of_rays_renders_something(case: Case) -> None:
-    """At 1e-6, where even Mitsuba's ``path`` on a diffuse ball under a lamp is off by a factor."""
-    for connecting in (True, False):
-        samples = radiance(world(case, 1e-6, sample_emitters=connecting), 2**14, 4)
-        assert physical(samples).mean() < 1
+@pytest.mark.parametrize("scale", [1e-12, 1e-6, 1e-3, 1e-2, 1e2])
+@pytest.mark.parametrize("connecting", [True, False], ids=["shadow rays", "flights"])
+def test_scaled_scene_takes_the_same_paths(case: Case, scale: float, connecting: bool) -> None:
+    """Same random numbers: only rounding differs, which sends few paths another way."""
+    one, scaled = (
+        radiance(world(case, s, sample_emitters=connecting), 2**16, 3) for s in (1.0, scale)
+    )
+    assert abs(physical(scaled).mean() / one.mean() - 1) < 2e-3
 
 
 # ------------------------------------------------------------------------------- density
@@ -163,9 +158,9 @@ def test_ends_of_albedo_and_depth(
 
 
 @every_law
-@pytest.mark.parametrize("thickness", [1e-2, 1.2e-4])
+@pytest.mark.parametrize("thickness", [1e-2, 1.2e-4, 1e-5])
 def test_thin_slab(case: Case, thickness: float) -> None:
-    """Not much more than the distance by which rays stand off its faces."""
+    """Down to about the distance by which rays stand off its faces."""
     for depth in (1e-3, 0.7):
         absorbing = medium(*case, sigma_t=depth / thickness, albedo=0.0)
         fog = box(absorbing, [-1, -1, -thickness], [1, 1, 0])
@@ -178,7 +173,7 @@ def test_thin_slab(case: Case, thickness: float) -> None:
 
 
 @every_law
-@pytest.mark.parametrize("thickness", [1e-5, 1e-6, 1e-7])
+@pytest.mark.parametrize("thickness", [1e-6, 1e-7])
 def test_slab_thinner_than_the_offset_of_rays_makes_no_light(case: Case, thickness: float) -> None:
     """Rays that enter it stand behind it, in the medium for all they know."""
     for albedo in (0.0, 1.0):
