@@ -14,6 +14,8 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from nonexp.choice import replayed
+
 from .entries import Entry, Scatter, Tracked, entry_of
 from .scene_needs import SceneNeeds
 
@@ -144,7 +146,7 @@ class OneMedium(Media):
         return self._spread(self._entry.extinction(mei))
 
     def flight(self, location: Any, from_particle: Any, sampler: Any, active: Any) -> Any:
-        return self._entry.flight(from_particle, _shared_draws(lambda: sampler.next_1d(active)))
+        return self._entry.flight(from_particle, replayed(lambda: sampler.next_1d(active)))
 
     def survival(self, location: Any, from_particle: Any, tau: Any) -> Any:
         return self._entry.survival(from_particle, tau)
@@ -294,25 +296,6 @@ def _number(pointer: Any) -> Any:
     return dr.reinterpret_array(mi.UInt32, pointer)
 
 
-def _shared_draws(draw: Callable[[], Any]) -> Callable[[], Callable[[], Any]]:
-    """Sequences that yield the same random numbers: of two laws only one is used per lane."""
-    drawn: list[Any] = []
-
-    def sequence() -> Callable[[], Any]:
-        position = -1
-
-        def following() -> Any:
-            nonlocal position
-            position += 1
-            if position == len(drawn):
-                drawn.append(draw())
-            return drawn[position]
-
-        return following
-
-    return sequence
-
-
 def _count_draws(entry: Entry) -> int:
     """How many random numbers the medium's flights take at most."""
     count = 0
@@ -322,5 +305,5 @@ def _count_draws(entry: Entry) -> int:
         count += 1
         return mi.Float(0.5)
 
-    entry.flight(mi.Bool(False), _shared_draws(draw))
+    entry.flight(mi.Bool(False), replayed(draw))
     return count

@@ -285,7 +285,9 @@ class NonexpVolpath(mi.SamplingIntegrator):
                     s.tau = dr.maximum(tau - sigma_t * (si.t + gap), 0)
                 if null and chromatic:
                     s.drawn, s.flown = drawn, dr.select(s.fresh, 0, reached)
-                    balance = dr.select(s.fresh, balance, s.balance)
+                    # Tracked flights have no memory: each stretch counts by itself.
+                    done = s.fresh | tracked if media.tracks else s.fresh
+                    balance = dr.select(done, balance, s.balance)
                 if chromatic:
                     s.balance = mi.UnpolarizedSpectrum(balance)
                 if null and chromatic:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import drjit as dr
@@ -11,7 +11,7 @@ from .numerics import filled, select
 from .parameters import check, number
 from .transmittance import Draw, Transmittance
 
-__all__ = ["check_extinction", "pick", "weights"]
+__all__ = ["check_extinction", "pick", "replayed", "weights"]
 
 _STEP = 2.0**-23  # of random numbers in single precision
 
@@ -62,6 +62,29 @@ def pick(draw: Draw, shares: Sequence[Any], values: Sequence[Any]) -> Any:
         first = select(low <= high, u < fraction, rest > fraction)
         picked = select(first, value, picked)
     return picked
+
+
+def replayed(draw: Draw) -> Callable[[], Draw]:
+    """Sequences of the same random numbers, for alternatives of which only one is taken.
+
+    Each call of the result begins ``draw`` anew: ``numbers = replayed(draw)``, then
+    ``a.sample_f(numbers())`` and ``b.sample_f(numbers())``.
+    """
+    drawn: list[Any] = []
+
+    def again() -> Draw:
+        position = -1
+
+        def following() -> Any:
+            nonlocal position
+            position += 1
+            if position == len(drawn):
+                drawn.append(draw())
+            return drawn[position]
+
+        return following
+
+    return again
 
 
 def _sums(shares: Sequence[Any]) -> list[Any]:

@@ -571,13 +571,13 @@ class _Task:
         best = int(np.argmin(sums))
         return float(sums[best]), float(scales[best]) / (self.sigma_t or 1)
 
-    def _solve(self, starts: Iterable[dict[str, Any]]) -> _Solution:
+    def _solve(self, starts: Iterable[dict[str, Any]], most: int = _STARTS) -> _Solution:
         """The best solution from some starting points."""
         from scipy import optimize  # takes as long to import as the rest of the package
 
         found = []
         ranked = sorted(((*self._scaled(start), start) for start in starts), key=lambda s: s[0])
-        for _, scale, start in ranked[:_STARTS]:
+        for _, scale, start in ranked[:most]:
             coordinates, at = self._coordinates(start, scale)
             if not coordinates:
                 residuals = self._residuals((start, self.sigma_t or 1.0))
@@ -595,7 +595,7 @@ class _Task:
                 ftol=1e-13,
                 xtol=1e-12,
                 gtol=1e-14,
-                max_nfev=300,
+                max_nfev=100,
             )
             limits = result.active_mask
             at = np.select([limits < 0, limits > 0], bounds, result.x)
@@ -619,7 +619,7 @@ class _Task:
             )
             if inside and numbers not in tried:
                 chosen = dict(zip(self.whole, numbers, strict=True))
-                tried[numbers] = self._solve([start | chosen for start in self.starts])
+                tried[numbers] = self._solve([start | chosen for start in self.starts], most=1)
 
         def best() -> tuple[int, ...]:
             return min(tried, key=lambda numbers: tried[numbers].chi2)

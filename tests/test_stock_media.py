@@ -93,6 +93,20 @@ def test_a_constant_grid_is_a_homogeneous_medium(boundary: str) -> None:
             assert_same(got, right, 0.05)
 
 
+def test_an_invisible_surface_in_a_coloured_cloud_changes_nothing() -> None:
+    ref = {"type": "ref", "id": "cloud"}
+    place = mi.ScalarTransform4f().translate([0, 0, 0.2]).scale(0.6)
+    within = {"bsdf": {"type": "null"}, "interior": ref, "exterior": ref}
+    cut = {"cut": {"type": "rectangle", "to_world": place, **within}}
+    for channel in (0, 2):
+        whole, halves = (
+            scene(cloud={**cloud(sigma_t=grid(3)), "id": "cloud"}, **parts(ref), **more)
+            for more in ({}, cut)
+        )
+        right = passes(whole, 2**11, 1, channel=channel)
+        assert_same(passes(halves, 2**11, 2, channel=channel), right, 0.05)
+
+
 def test_grid_and_own_media_in_one_scene() -> None:
     """A cloud, a microflake ball and a glass ball, all exponential, in fog: several at once."""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from ..choice import check_extinction, pick, weights
+from ..choice import check_extinction, pick, replayed, weights
 from ..parameters import components, number, vector
 from ..transmittance import Draw, Transmittance
 from .constant import Constant
@@ -73,12 +73,12 @@ class Mixture(Transmittance):
         return _mean(self._rates, [model.pp(tau) for model in self.models])
 
     def sample_f(self, draw: Draw) -> Any:
-        draws = _Replay(draw)
-        return pick(draw, self.weight, [m.sample_f(draws.again()) for m in self.models])
+        numbers = replayed(draw)
+        return pick(draw, self.weight, [m.sample_f(numbers()) for m in self.models])
 
     def sample_p(self, draw: Draw) -> Any:
-        draws = _Replay(draw)
-        return pick(draw, self._rates, [m.sample_p(draws.again()) for m in self.models])
+        numbers = replayed(draw)
+        return pick(draw, self._rates, [m.sample_p(numbers()) for m in self.models])
 
     @property
     def _rates(self) -> list[Any]:
@@ -87,23 +87,3 @@ class Mixture(Transmittance):
 
 def _mean(weight: Any, values: Any) -> Any:
     return sum(w * v for w, v in zip(weight, values, strict=True)) / sum(weight)
-
-
-class _Replay:
-    """Random numbers that every model gets alike: of all flights only one is taken."""
-
-    def __init__(self, draw: Draw) -> None:
-        self._draw = draw
-        self._drawn: list[Any] = []
-
-    def again(self) -> Draw:
-        position = -1
-
-        def draw() -> Any:
-            nonlocal position
-            position += 1
-            if position == len(self._drawn):
-                self._drawn.append(self._draw())
-            return self._drawn[position]
-
-        return draw
