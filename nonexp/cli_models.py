@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from . import fitting, models, plotting
+from . import fitting, leastsquares, models, plotting
 
 if TYPE_CHECKING:
     from .fitting import Fit
@@ -78,7 +78,7 @@ def _values(pairs: Iterable[tuple[str, str]]) -> dict[str, Any]:
 
 def _check_known(names: Iterable[str], given: Iterable[str]) -> None:
     """Not every model must have each parameter, but one at least."""
-    known = {key for name in names for key in fitting.fields_of(name)}
+    known = {key for name in names for key in leastsquares.fields_of(name)}
     for parameter in given:
         if parameter not in known:
             raise ValueError(f"none of the models to fit has a parameter {parameter!r}")

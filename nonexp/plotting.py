@@ -13,7 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from . import models
-from .fitting import Fit, backend
+from .fitting import Fit
+from .leastsquares import backend
 from .transmittance import Transmittance
 
 if TYPE_CHECKING:
