@@ -36,9 +36,8 @@ class TransmittanceTexture(mi.Texture):
         checked = models.create(key, **self._given(props))
         for name, kind in self._kinds.items():
             if _is(kind, parameters.Components) and name not in self._components:
-                self._components[name] = [
-                    _texture(models.to_dict(model)) for model in getattr(checked, name)
-                ]
+                parts = [models.to_dict(model) for model in getattr(checked, name)]
+                self._components[name] = [type(self)._of(part) for part in parts]
 
         self.values: dict[str, Any] = {}
         for name, kind in self._kinds.items():
@@ -59,6 +58,17 @@ class TransmittanceTexture(mi.Texture):
         else:
             self._adopt(checked)  # it may have made tables: not a second time
 
+    # Each variant has a class of its own, under this one name: hence type(self), above and below.
+
+    @classmethod
+    def _of(cls, scene: dict[str, Any]) -> TransmittanceTexture:
+        """The texture of a component that the scene did not name: a default of its model."""
+        props = mi.Properties(scene["type"])
+        for name, value in scene.items():
+            if name != "type":
+                props[name] = cls._of(value) if isinstance(value, dict) else value
+        return cls(scene["type"].removeprefix("transmittance_"), props)
+
     @property
     def model(self) -> Transmittance:
         """The model with the present values of its parameters, as arrays of width 1."""
@@ -73,7 +83,7 @@ class TransmittanceTexture(mi.Texture):
             value, kind = props[name], self._kinds.get(name)
             if name == "id":
                 continue
-            if nested and isinstance(value, TransmittanceTexture):
+            if nested and isinstance(value, type(self)):
                 self._components.setdefault(nested, []).append(value)
                 continue
             if isinstance(kind, parameters.Text) and kind.is_file and isinstance(value, str):
@@ -136,15 +146,6 @@ class TransmittanceTexture(mi.Texture):
         parts += [f"{name}={value}" for name, value in self._fixed.items()]
         parts += [str(t.to_string()) for textures in self._components.values() for t in textures]
         return f"transmittance_{self.key}[{', '.join(parts)}]"
-
-
-def _texture(scene: dict[str, Any]) -> TransmittanceTexture:
-    """The texture of a component that the scene did not name: a default of its model."""
-    props = mi.Properties(scene["type"])
-    for name, value in scene.items():
-        if name != "type":
-            props[name] = _texture(value) if isinstance(value, dict) else value
-    return TransmittanceTexture(scene["type"].removeprefix("transmittance_"), props)
 
 
 def _is(kind: Any, cls: type) -> bool:

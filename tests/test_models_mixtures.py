@@ -652,3 +652,11 @@ def test_a_render_with_a_mixture_can_be_frozen() -> None:
     for seed in range(3):
         replayed = np.array(frozen(built, mi.UInt32(seed)))
         np.testing.assert_array_equal(replayed, np.array(mi.render(built, spp=4, seed=seed)))
+
+
+def test_components_nest_in_every_variant_also_after_others() -> None:
+    scene = {"type": "transmittance_mixture", "a": {"type": "transmittance_linear", "b": 2.0}}
+    for variant in ("llvm_ad_rgb", "llvm_ad_spectral", "llvm_ad_rgb", "llvm_ad_mono"):
+        mi.set_variant(variant)
+        assert float(mi.load_dict(scene).model.sigma_bar[0]) == 0.5
+        assert len(mi.load_dict({"type": "transmittance_mixture"}).model.models) == 2
