@@ -120,14 +120,10 @@ def _walk(
         return _distance(needs, ds, dr.dot(ds.p - s.start, ds.d))
 
     def body(sampler: mi.Sampler, s: _Ray) -> tuple[mi.Sampler, _Ray]:
-        si = scene.ray_intersect(s.ray, flags, True, s.active)
+        si = scene.ray_intersect(s.ray, s.active)
         hit = s.active & si.is_valid()
-        if needs.partial_surfaces:
-            through = si.bsdf().eval_null_transmission(si, hit)
-            s.transmittance = dr.select(hit, s.transmittance * through, s.transmittance)
-        else:
-            blocked = hit & ~mi.has_flag(si.bsdf().flags(), mi.BSDFFlags.Null)
-            s.transmittance = dr.select(blocked, 0, s.transmittance)
+        through = si.bsdf().eval_null_transmission(si, hit)
+        s.transmittance = dr.select(hit, s.transmittance * through, s.transmittance)
         if media:
             # Rounding may put a surface before the one left behind.
             length = dr.maximum(dr.select(hit, dr.dot(si.p - s.start, ds.d), remaining(s)), 0)
@@ -152,8 +148,6 @@ def _walk(
         s.active = hit & dr.any(s.transmittance != 0)
         return sampler, s
 
-    # Invisible surfaces only matter by where they are and to which side they face.
-    flags = mi.RayFlags.All if needs.partial_surfaces else mi.RayFlags.Minimal
     start = location(ds.d) if media else None
     state = _Ray(
         ray=ray,

@@ -28,8 +28,6 @@ class SceneNeeds:
     """Some medium boundary scatters smoothly: connections begin on it, to either side."""
     null_surfaces: bool
     """A ray can pass straight through some surface."""
-    partial_surfaces: bool
-    """Some of these let only a part of the light through (opacity masks, thin glass)."""
     emitters: bool
     """There is something to connect to."""
     hittable_emitters: bool
@@ -58,10 +56,6 @@ class SceneNeeds:
                 for shape in shapes
             ),
             null_surfaces=any(_scatters(shape, mi.BSDFFlags.Null) for shape in shapes),
-            partial_surfaces=any(
-                _scatters(shape, mi.BSDFFlags.Null) and shape.bsdf().class_name() != "Null"
-                for shape in shapes
-            ),
             emitters=bool(emitter_flags),
             hittable_emitters=any(not mi.has_flag(flags, delta) for flags in emitter_flags),
             delta_emitters=any(mi.has_flag(flags, delta) for flags in emitter_flags),

@@ -37,7 +37,6 @@ def test_an_empty_scene_needs_nothing() -> None:
         smooth_surfaces=False,
         smooth_boundaries=False,
         null_surfaces=False,
-        partial_surfaces=False,
         emitters=False,
         hittable_emitters=False,
         delta_emitters=False,
