@@ -16,6 +16,7 @@ import pytest
 from build import FURNACE, ball, medium, perspective, scene, stock
 from measure import radiance
 
+from nonexp import models
 from nonexp.integrators.scene_needs import SceneNeeds
 
 LAMP = {
@@ -201,12 +202,12 @@ def test_parameters_do_not_change_the_kernel() -> None:
     assert len(hashes) == 1
 
 
-def test_a_render_can_be_frozen() -> None:
-    built = scene(
-        sensor=perspective([0, 0, 4], [0, 0, 0]),
-        ball=ball(medium("gamma", {"alpha": 2.0}, sigma_t=1.0)),
-        lamp=LAMP,
-    )
+@pytest.mark.parametrize("model", ["gamma", "davis_weinstein", "ensemble", "tabulated", "mixture"])
+def test_a_render_can_be_frozen(model: str) -> None:
+    """Also where the model looks into tables."""
+    parameters = dict(models.registry[model].examples[0])
+    camera = perspective([0, 0, 4], [0, 0, 0])
+    built = scene(sensor=camera, ball=ball(medium(model, parameters, sigma_t=1.0)), lamp=LAMP)
 
     @dr.freeze
     def frozen(built: Any, seed: mi.UInt32) -> mi.TensorXf:
