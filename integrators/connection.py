@@ -1,7 +1,8 @@
-"""Next-event estimation: a straight connection from a vertex to a sampled point on an emitter."""
+"""Next-event estimation: what arrives at a vertex along a straight line from an emitter."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +12,7 @@ import mitsuba as mi
 from . import tracking
 from .media import Media
 from .offset import Offset
+from .refractive import Crossing, Line, Refraction
 from .scene_needs import SceneNeeds
 
 
@@ -34,45 +36,240 @@ class _Ray:
     """neither blocked nor arrived"""
 
 
-def connect(
-    scene: mi.Scene,
-    needs: SceneNeeds,
-    media: Media | None,
-    offset: Offset,
-    vertex: mi.Interaction3f,
-    location: Any,
-    from_particle: Any,
-    sampler: mi.Sampler,
-    active: Any,
-) -> tuple[mi.DirectionSample3f, mi.Spectrum]:
-    """Sample an emitter from ``vertex``; return where it is and radiance/pdf times transmittance.
+@dataclass
+class BentRay:
+    """A ray that may have come out of glass."""
 
-    ``location(direction)`` tells the medium in which a ray leaves the vertex; ``from_particle``
-    marks the vertices that are collisions.
-    """
-    if media and media.all_sealed:
-        media = None
-    ds, light = scene.sample_emitter_direction(vertex, sampler.next_2d(), False, active)
-    active = active & (ds.pdf != 0)
-    ray = offset.segment(vertex, ds.p)
-    if not needs.null_surfaces:
-        active &= ~scene.ray_test(ray, active)
-    light = dr.select(active, light, 0)
-    if needs.null_surfaces:
-        light *= _walk(
-            scene, needs, media, offset, vertex, ds, ray, location, from_particle, sampler, active
+    start: Any
+    """where the path last scattered within"""
+    p: Any
+    """where it left the glass, nearly"""
+    active: Any
+    """it has done nothing else since then"""
+
+
+@dataclass
+class Hit:
+    """An emitter met by a ray, as connections from where the ray began see it."""
+
+    ds: mi.DirectionSample3f
+    """the place that was met"""
+    pdf: Any
+    """solid-angle density with which a connection samples it"""
+    ray_pdf: Any
+    """solid-angle density of the ray's direction there"""
+    bent: BentRay | None
+    """its way out of glass"""
+    weight: Any
+    """share of the emission that counts"""
+
+
+@dataclass
+class Link:
+    """A connection from a vertex to an emitter."""
+
+    light: Any
+    """radiance that arrives, over the density of the connection"""
+    wo: Any
+    """direction from the vertex"""
+    pdf: Any
+    """solid-angle density there"""
+    passing: Any
+    """probability with which a ray in that direction would get there, glass considered"""
+    delta: Any
+    """no ray finds the emitter"""
+    active: Any
+    """there is one"""
+
+    def weight(self, ray_pdf: Any) -> Any:
+        """Share of the connection that counts, if a ray takes its direction with this density."""
+        ray_pdf = ray_pdf if self.passing is None else ray_pdf * self.passing
+        ray_pdf = ray_pdf if self.delta is None else dr.select(self.delta, 0, ray_pdf)
+        return power_heuristic(self.pdf, ray_pdf)
+
+
+@dataclass(frozen=True)
+class Connections:
+    """Next-event estimation in one scene."""
+
+    scene: mi.Scene
+    needs: SceneNeeds
+    media: Media | None
+    offset: Offset
+    glass: Refraction | None
+
+    def hit(
+        self,
+        si: mi.SurfaceInteraction3f,
+        origin: Any,
+        ray_pdf: Any,
+        certain: Any,
+        bent: BentRay | None,
+        active: Any,
+    ) -> Hit:
+        """What a ray from ``origin`` met; ``certain``: no connection could have found it."""
+        reference = dr.zeros(mi.Interaction3f)
+        reference.p = origin
+        if bent:
+            reference.p = dr.select(bent.active, bent.start, origin)
+            certain = certain & ~bent.active
+        ds = mi.DirectionSample3f(self.scene, si, reference)
+        pdf = self.scene.pdf_emitter_direction(reference, ds, active & ~certain)
+        weight = dr.select(certain, 1, power_heuristic(ray_pdf, pdf))
+        return Hit(ds, pdf, ray_pdf, bent, weight)
+
+    def connect(
+        self,
+        vertex: mi.Interaction3f,
+        location: Callable[[Any], Any],
+        from_particle: Any,
+        sampler: mi.Sampler,
+        active: Any,
+        in_glass: Any,
+        hit: Hit | None,
+    ) -> Link:
+        """Sample an emitter, and connect ``vertex`` to it.
+
+        ``active`` marks the vertices that connect straight, ``in_glass`` those that do through
+        glass if that is in the way; ``location(direction)`` tells the medium in which a ray leaves
+        the vertex; ``from_particle`` marks the vertices that are collisions. Where ``hit`` has come
+        out of glass, it is weighed against connections that bend.
+        """
+        wanted = active | in_glass if self.glass else active
+        ds, light = self.scene.sample_emitter_direction(vertex, sampler.next_2d(), False, wanted)
+        delta = ds.delta if self.needs.delta_emitters else None
+        line = self._line(ds)
+        active = active & (ds.pdf != 0)
+        if not self.glass:
+            light = self.arriving(light, vertex, line, location, from_particle, sampler, active)
+            return Link(light, ds.d, ds.pdf, None, delta, active)
+
+        # One search serves both: a ray that met an emitter, and a new connection to one.
+        x, end = mi.Point3f(vertex.p), line
+        searching = in_glass & (ds.pdf != 0)
+        bent = hit.bent if hit else None
+        if hit and bent:
+            x = dr.select(bent.active, bent.start, x)
+            end = dr.select(bent.active, self._line(hit.ds), line)
+            searching |= bent.active
+        separated, crossing = self.glass.find(x, end, vertex, searching)
+        if hit and bent:
+            hit.weight = dr.select(bent.active, self._bent_weight(hit, bent, crossing), hit.weight)
+            separated &= ~bent.active
+
+        # To the surface of the glass, and on behind it as any other connection.
+        bends = separated & crossing.found
+        density = crossing.density(ds)
+        light = dr.select(bends, self._refracted(light, ds, crossing) / density, light)
+        arrived = self.arriving(
+            light, vertex, crossing.line, location, from_particle, sampler, bends, within=True
         )
-    elif media:
-        start = location(ds.d)
-        distance = _distance(needs, ds, ds.dist)
-        tau = optical_depth(media.sigma_t(start, sight(vertex, ds.d)), distance)
-        survival = media.survival(start, from_particle, tau)
-        if media.tracks:
-            tracked = active & media.tracked(start)
-            onward = mi.Ray3f(vertex.p, ds.d, vertex.time, vertex.wavelengths)
-            survival *= tracking.transmittance(media, start, onward, distance, sampler, tracked)
-        light = dr.select(media.inside(start), light * survival, light)
-    return ds, light
+        light = dr.select(bends, arrived, light)
+        surface = mi.Interaction3f(
+            0,
+            vertex.time,
+            vertex.wavelengths,
+            dr.select(bends, crossing.si.p, vertex.p),
+            dr.select(bends, crossing.si.n, vertex.n),
+        )
+
+        def behind(d: Any) -> Any:
+            media, before = self.media, location(crossing.line.d)
+            outside = media.behind(crossing.si, bends, before, d) if media else before
+            return dr.select(bends, outside, location(d))
+
+        active = (active & ~separated) | bends
+        light = self.arriving(
+            light,
+            surface,
+            dr.select(bends, crossing.onward, line),
+            behind,
+            from_particle & ~bends,
+            sampler,
+            active,
+        )
+        return Link(
+            light=light,
+            wo=dr.select(bends, crossing.line.d, ds.d),
+            pdf=dr.select(bends, ds.pdf * density, ds.pdf),
+            passing=dr.select(bends, crossing.passing, 1),
+            delta=delta,
+            active=active,
+        )
+
+    def _refracted(self, light: Any, ds: mi.DirectionSample3f, crossing: Crossing) -> Any:
+        """A sampled emitter's radiance over pdf, seen from behind the surface of glass."""
+        if self.needs.near_emitters:
+            # The light of a point depends on where it is seen from.
+            seen = mi.DirectionSample3f(ds)
+            seen.d, seen.dist = crossing.onward.d, dr.norm(ds.p - crossing.si.p)
+            near = crossing.found & ds.delta
+            value = self.scene.eval_emitter_direction(crossing.si, seen, near)
+            near &= dr.isfinite(crossing.onward.distance)
+            light = dr.select(near, value / ds.pdf, light)
+        return light * crossing.transmitted
+
+    def _bent_weight(self, hit: Hit, bent: BentRay, crossing: Crossing) -> Any:
+        """Share of an emission that counts where a connection would have bent to find it."""
+        connection_pdf = hit.pdf * crossing.density(hit.ds)
+        weight = power_heuristic(hit.ray_pdf * crossing.passing, connection_pdf)
+        # Only one of several ways through the glass is the one that connections take.
+        same = crossing.found & crossing.is_at(bent.p, 4 * self.offset.limit)
+        return dr.select(same, weight, 1)
+
+    def _line(self, ds: mi.DirectionSample3f) -> Line:
+        """The straight line to a sampled emitter."""
+        if not self.needs.infinite_emitters:
+            return Line(ds.p, ds.d, ds.dist)
+        infinite = mi.has_flag(ds.emitter.flags(), mi.EmitterFlags.Infinite)
+        return Line(ds.p, ds.d, dr.select(infinite, dr.inf, ds.dist))
+
+    def arriving(
+        self,
+        light: Any,
+        vertex: mi.Interaction3f,
+        line: Line,
+        location: Any,
+        from_particle: Any,
+        sampler: mi.Sampler,
+        active: Any,
+        within: bool = False,
+    ) -> Any:
+        """What is left of ``light`` at ``vertex``, having come along a line: 0 if it is blocked.
+
+        ``location(direction)`` tells the medium in which a ray leaves the vertex; ``from_particle``
+        marks the vertices that are collisions; ``within``: the line stays inside a closed body,
+        where other lines have nothing to look for.
+        """
+        media = self.media
+        if media and media.all_sealed and not within:
+            media = None
+        ray = self.offset.segment(vertex, line.p)
+        if not self.needs.null_surfaces:
+            active = active & ~self.scene.ray_test(ray, active)
+        light = dr.select(active, light, 0)
+        if self.needs.null_surfaces:
+            light *= _walk(
+                self, media, vertex, line, ray, location, from_particle, sampler, active
+            )
+        elif media:
+            start = location(line.d)
+            tau = optical_depth(media.sigma_t(start, sight(vertex, line.d)), line.distance)
+            survival = media.survival(start, from_particle, tau)
+            if media.tracks:
+                tracked = active & media.tracked(start)
+                onward = mi.Ray3f(vertex.p, line.d, vertex.time, vertex.wavelengths)
+                survival *= tracking.transmittance(
+                    media, start, onward, line.distance, sampler, tracked
+                )
+            light = dr.select(media.inside(start), light * survival, light)
+        return light
+
+
+def power_heuristic(a: Any, b: Any) -> Any:
+    """Weight of a sample of density ``a`` that another technique finds with density ``b``."""
+    weight = dr.square(a) / (dr.square(a) + dr.square(b))
+    return dr.select(dr.isfinite(weight), weight, 0)
 
 
 def sight(vertex: Any, direction: Any) -> mi.MediumInteraction3f:
@@ -89,35 +286,30 @@ def optical_depth(sigma_t: Any, distance: Any) -> Any:
     return tau if dr.depth_v(tau) == 1 else dr.select(sigma_t > 0, tau, 0)
 
 
-def _distance(needs: SceneNeeds, ds: mi.DirectionSample3f, distance: Any) -> Any:
-    """Length of a ray's last stretch: no end to it if the emitter is at infinity."""
-    if not needs.infinite_emitters:
-        return distance
-    infinite = mi.has_flag(ds.emitter.flags(), mi.EmitterFlags.Infinite)
-    return dr.select(infinite, dr.inf, distance)
-
-
 def _walk(
-    scene: mi.Scene,
-    needs: SceneNeeds,
+    connections: Connections,
     media: Media | None,
-    offset: Offset,
     vertex: mi.Interaction3f,
-    ds: mi.DirectionSample3f,
+    line: Line,
     ray: mi.Ray3f,
     location: Any,
     from_particle: Any,
     sampler: mi.Sampler,
     active: Any,
-) -> mi.Spectrum:
-    """Transmittance to ``ds.p`` past any number of surfaces that let light straight through.
+) -> Any:
+    """Transmittance to ``line.p`` past any number of surfaces that let light straight through.
 
     Within one medium optical depths add up across such surfaces, and the law is evaluated once,
     where the ray leaves that medium.
     """
 
+    scene, offset, d = connections.scene, connections.offset, line.d
+
     def remaining(s: _Ray) -> Any:
-        return _distance(needs, ds, dr.dot(ds.p - s.start, ds.d))
+        distance = dr.dot(line.p - s.start, d)
+        if not connections.needs.infinite_emitters:
+            return distance
+        return dr.select(dr.isinf(line.distance), dr.inf, distance)
 
     def body(sampler: mi.Sampler, s: _Ray) -> tuple[mi.Sampler, _Ray]:
         si = scene.ray_intersect(s.ray, s.active)
@@ -126,13 +318,13 @@ def _walk(
         s.transmittance = dr.select(hit, s.transmittance * through, s.transmittance)
         if media:
             # Rounding may put a surface before the one left behind.
-            length = dr.maximum(dr.select(hit, dr.dot(si.p - s.start, ds.d), remaining(s)), 0)
+            length = dr.maximum(dr.select(hit, dr.dot(si.p - s.start, d), remaining(s)), 0)
             inside = s.active & media.inside(s.location)
-            tau = optical_depth(media.sigma_t(s.location, sight(vertex, ds.d)), length)
+            tau = optical_depth(media.sigma_t(s.location, sight(vertex, d)), length)
             s.tau = type(s.tau)(dr.select(inside, s.tau + tau, s.tau))
             if media.tracks:
                 tracked = inside & media.tracked(s.location)
-                onward = mi.Ray3f(s.start, ds.d, vertex.time, vertex.wavelengths)
+                onward = mi.Ray3f(s.start, d, vertex.time, vertex.wavelengths)
                 s.transmittance *= tracking.transmittance(
                     media, s.location, onward, length, sampler, tracked
                 )
@@ -144,11 +336,11 @@ def _walk(
             s.from_particle &= ~left
             s.location = beyond
             s.start = si.p
-        s.ray = offset.segment(si, ds.p)
+        s.ray = offset.segment(si, line.p)
         s.active = hit & dr.any(s.transmittance != 0)
         return sampler, s
 
-    start = location(ds.d) if media else None
+    start = location(d) if media else None
     state = _Ray(
         ray=ray,
         start=mi.Point3f(vertex.p) if media else None,

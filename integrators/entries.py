@@ -47,8 +47,14 @@ class Entry:
     """extinction depends neither on direction nor on wavelengths that differ from path to path"""
 
     @property
+    def samples(self) -> bool:
+        """Collisions use next-event estimation, where it can succeed."""
+        return bool(self.pointer.use_emitter_sampling())
+
+    @property
     def connects(self) -> bool:
-        return not self.sealed and bool(self.pointer.use_emitter_sampling())
+        """A straight connection from a collision can succeed, and is wanted."""
+        return self.samples and not self.sealed
 
     def flight(self, from_particle: Any, draws: Callable[[], Callable[[], Any]]) -> Any:
         """Optical depth of the next collision; ``draws()`` begins the random numbers anew, as only

@@ -42,6 +42,8 @@ class Media(ABC):
         """The media themselves."""
         self.connects = any(entry.connects for entry in entries)
         """Collisions in some medium use next-event estimation."""
+        self.samples = any(entry.samples for entry in entries)
+        """Likewise, were nothing sealed."""
         self.some_sealed = any(entry.sealed for entry in entries)
         """No connection from some medium can succeed."""
         self.all_sealed = all(entry.sealed for entry in entries)
@@ -71,6 +73,10 @@ class Media(ABC):
     @abstractmethod
     def collision_connects(self, location: Any) -> Any:
         """Mask: collisions here use next-event estimation."""
+
+    @abstractmethod
+    def collision_samples(self, location: Any) -> Any:
+        """Mask: likewise, were nothing sealed."""
 
     @abstractmethod
     def sealed(self, location: Any) -> Any:
@@ -136,6 +142,9 @@ class OneMedium(Media):
     def collision_connects(self, location: Any) -> Any:
         return mi.Bool(self.connects)
 
+    def collision_samples(self, location: Any) -> Any:
+        return mi.Bool(self.samples)
+
     def sealed(self, location: Any) -> Any:
         return location if self.some_sealed else mi.Bool(False)
 
@@ -186,6 +195,7 @@ class ManyMedia(Media):
             table[number] = location
         self._table = mi.UInt32(table)
         self._connects = mi.Bool([entry.connects for entry in entries])
+        self._samples = mi.Bool([entry.samples for entry in entries])
         self._sealed = mi.Bool([entry.sealed for entry in entries])
         self._tracked = mi.Bool([isinstance(entry, Tracked) for entry in entries])
 
@@ -201,6 +211,9 @@ class ManyMedia(Media):
         if not self._mixed:
             return mi.Bool(self.connects)
         return dr.gather(mi.Bool, self._connects, location - 1, location != 0)
+
+    def collision_samples(self, location: Any) -> Any:
+        return dr.gather(mi.Bool, self._samples, location - 1, location != 0)
 
     def sealed(self, location: Any) -> Any:
         return dr.gather(mi.Bool, self._sealed, location - 1, location != 0)

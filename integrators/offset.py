@@ -30,7 +30,8 @@ class Offset:
         limit = _STEPS * epsilon * min(float(extent), 1e30)
         # Another size of the scene is no other kernel; but nothing is made opaque while recording.
         frozen = dr.flag(dr.JitFlag.FreezingScope)
-        self._limit = mi.Float(limit) if frozen else dr.opaque(mi.Float, limit)
+        self.limit = mi.Float(limit) if frozen else dr.opaque(mi.Float, limit)
+        """Greatest distance, but for surfaces that a ray grazes."""
 
     def onward(self, vertex: Any, d: Any) -> Any:
         """Where the path goes on from ``vertex`` in direction ``d``; there itself if ``vertex.n``
@@ -54,4 +55,4 @@ class Offset:
 
     def _size(self, vertex: Any) -> Any:
         mitsubas = (1 + dr.max(dr.abs(vertex.p))) * self._relative
-        return dr.minimum(mitsubas, self._limit)
+        return dr.minimum(mitsubas, self.limit)

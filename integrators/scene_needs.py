@@ -12,6 +12,7 @@ from typing import Any
 import mitsuba as mi
 
 from .closed import encloses
+from .lobes import lobes
 
 
 @dataclass(frozen=True)
@@ -36,10 +37,18 @@ class SceneNeeds:
     """Some emitter is a point or a direction: only connections find it."""
     infinite_emitters: bool
     """Light arrives from infinity (environment, directional)."""
+    near_emitters: bool
+    """Some emitter is a point, so that its light depends on where it is seen from."""
+    lobes: tuple[Any, ...]
+    """Smooth dielectric shapes through which connections from inside bend."""
 
     @staticmethod
-    def of(scene: mi.Scene, start: Any = None) -> SceneNeeds:
-        """Look at ``scene``; ``start`` is the medium in which the rays begin, if any."""
+    def of(scene: mi.Scene, start: Any = None, refractive: str = "auto") -> SceneNeeds:
+        """Look at ``scene``; ``start`` is the medium in which the rays begin, if any.
+
+        ``refractive`` says whether connections bend: ``auto`` (where that helps), ``on`` (wherever
+        they can) or ``off``.
+        """
         media: list[Any] = []
         shapes = _shapes(scene)
         for medium in (start, *_media(shapes), *_endpoint_media(scene)):
@@ -60,6 +69,11 @@ class SceneNeeds:
             hittable_emitters=any(not mi.has_flag(flags, delta) for flags in emitter_flags),
             delta_emitters=any(mi.has_flag(flags, delta) for flags in emitter_flags),
             infinite_emitters=any(mi.has_flag(flags, infinite) for flags in emitter_flags),
+            near_emitters=any(
+                mi.has_flag(flags, delta) and not mi.has_flag(flags, infinite)
+                for flags in emitter_flags
+            ),
+            lobes=lobes(scene, shapes, refractive) if emitter_flags else (),
         )
 
 

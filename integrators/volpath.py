@@ -13,9 +13,10 @@ import drjit as dr
 import mitsuba as mi
 
 from . import tracking
-from .connection import connect, optical_depth, sight
+from .connection import BentRay, Connections, optical_depth, sight
 from .media import scene_media
 from .offset import Offset
+from .refractive import refraction
 from .scene_needs import SceneNeeds
 from .spectral import at_channel, balanced, draw_channel
 
@@ -64,6 +65,12 @@ class _Path:
     """distance from where this flight began to the last event (likewise, and chromatic)"""
     balance: Any
     """weight of each channel, with mean 1 (only with chromatic extinction)"""
+    anchor: Any
+    """last event that connected through glass (only where connections bend)"""
+    armed: Any
+    """the path comes straight from there (likewise)"""
+    crossed: Any
+    """it has since left the glass, and done nothing else (likewise)"""
 
 
 class NonexpVolpath(mi.SamplingIntegrator):
@@ -78,6 +85,9 @@ class NonexpVolpath(mi.SamplingIntegrator):
         Depth beyond which paths end by Russian roulette.
     ``hide_emitters`` (boolean, default false)
         Do not show emitters to the camera directly.
+    ``refractive_nee`` (``auto``, ``on`` or ``off``, default ``auto``)
+        Connect what lies inside smooth glass to emitters outside, through one surface. ``auto``:
+        where something inside can connect, and light comes from somewhere rather than everywhere.
 
     A flight through a medium is drawn from the law that its origin asks for: one law after a
     collision in this medium, the other after anything else (see :mod:`nonexp.transmittance`).
@@ -93,6 +103,7 @@ class NonexpVolpath(mi.SamplingIntegrator):
         self.max_depth = depth if depth >= 0 else 2**32 - 1
         self.rr_depth = _integer(props, "rr_depth", 5, "an integer > 0", 1)
         self.hide_emitters = props.get("hide_emitters", False)
+        self.refractive_nee = _choice(props, "refractive_nee", ("auto", "on", "off"))
 
     def sample(
         self,
@@ -102,7 +113,7 @@ class NonexpVolpath(mi.SamplingIntegrator):
         medium: Any = None,
         active: Any = True,
     ) -> tuple[mi.Spectrum, mi.Bool, list[mi.Float]]:
-        needs = SceneNeeds.of(scene, medium)
+        needs = SceneNeeds.of(scene, medium, self.refractive_nee)
         media = scene_media(needs)
         null = needs.null_surfaces
         offset = Offset(scene)
@@ -110,7 +121,10 @@ class NonexpVolpath(mi.SamplingIntegrator):
         chromatic = bool(media and media.chromatic)
         hero = draw_channel(sampler.next_1d()) if chromatic else None
         collisions_connect = bool(media and media.connects)
-        connections = needs.emitters and (needs.smooth_surfaces or collisions_connect)
+        glass = refraction(needs)
+        bent_hits = bool(glass and needs.hittable_emitters)
+        connections = needs.emitters and bool(needs.smooth_surfaces or collisions_connect or glass)
+        nee = Connections(scene, needs, media, offset, glass)
         path = _Path(
             active=mi.Bool(active) & (self.max_depth > 0),
             depth=mi.UInt32(0),
@@ -132,6 +146,9 @@ class NonexpVolpath(mi.SamplingIntegrator):
             drawn=mi.Float(0) if null and chromatic else None,
             flown=mi.Float(0) if null and chromatic else None,
             balance=mi.UnpolarizedSpectrum(1) if chromatic else None,
+            anchor=mi.Point3f(0) if bent_hits else None,
+            armed=mi.Bool(False) if bent_hits else None,
+            crossed=mi.Bool(False) if bent_hits else None,
         )
         time, wavelengths = ray.time, ray.wavelengths
         context = mi.BSDFContext()
@@ -188,22 +205,17 @@ class NonexpVolpath(mi.SamplingIntegrator):
                 carried = s.throughput * balance
 
             # --------------------------------------------------- emission met by the ray
+            hit = None
             if needs.hittable_emitters:
                 emitter = si.emitter(scene)
                 lit = on_surface & (emitter != None)  # noqa: E711
                 if self.hide_emitters:
                     lit &= s.depth > 0
                 emitted = emitter.eval(si, lit)
-                weight = mi.Float(1)
                 if connections:
-                    reference = dr.zeros(mi.Interaction3f)
-                    reference.p = s.vertex if null else s.o
-                    hit = mi.DirectionSample3f(scene, si, reference)
-                    other_pdf = scene.pdf_emitter_direction(reference, hit, lit & ~s.certain)
-                    weight = dr.select(s.certain, 1, _power_heuristic(s.pdf, other_pdf))
-                s.radiance = dr.select(
-                    lit, dr.fma(carried, emitted * weight, s.radiance), s.radiance
-                )
+                    origin = s.vertex if null else s.o
+                    bent = BentRay(s.anchor, origin, lit & s.crossed) if bent_hits else None
+                    hit = nee.hit(si, origin, s.pdf, s.certain, bent, lit)
 
             on_surface &= si.is_valid()
             bsdf = si.bsdf()
@@ -215,30 +227,31 @@ class NonexpVolpath(mi.SamplingIntegrator):
             last = s.depth + 1 >= self.max_depth
             wo = mi.Vector3f(0, 0, 1)
             if connections:
-                connecting = mi.Bool(False)
+                connecting, in_glass = mi.Bool(False), mi.Bool(False)
                 if needs.smooth_surfaces:
-                    smooth = mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
-                    connecting = on_surface & smooth & ~last
+                    smooth = on_surface & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
+                    connecting = smooth & ~last
                     if media and media.some_sealed:
                         connecting &= ~media.sealed(s.location) | si.is_medium_transition()
                 if media and media.connects:
                     connecting |= collided & ~last & media.collision_connects(s.location)
+                if glass:
+                    if needs.smooth_surfaces:
+                        in_glass |= smooth
+                    if media and media.samples:
+                        in_glass |= collided & media.collision_samples(s.location)
+                    in_glass &= s.depth + 2 < self.max_depth
                 if media and needs.smooth_boundaries:
                     leaving = partial(media.behind, si, on_surface, s.location)
                 else:
                     leaving = partial(_stay, s.location)
-                ds, light = connect(
-                    scene,
-                    needs,
-                    media,
-                    offset,
-                    vertex,
-                    leaving,
-                    collided,
-                    sampler,
-                    connecting,
-                )
-                wo = ds.d
+                link = nee.connect(vertex, leaving, collided, sampler, connecting, in_glass, hit)
+                wo = link.wo
+
+            if needs.hittable_emitters:
+                if hit is not None:
+                    emitted *= hit.weight
+                s.radiance = dr.select(lit, dr.fma(carried, emitted, s.radiance), s.radiance)
 
             # --------------------------------------------------- scattering
             u1, u2 = sampler.next_1d(), sampler.next_2d()
@@ -260,9 +273,8 @@ class NonexpVolpath(mi.SamplingIntegrator):
                 pdf = dr.select(collided, scatter.wo_pdf, pdf)
                 certain = dr.select(collided, ~media.collision_connects(s.location), certain)
             if connections:
-                other_pdf = dr.select(ds.delta, 0, value_pdf) if needs.delta_emitters else value_pdf
-                contribution = carried * value * light * _power_heuristic(ds.pdf, other_pdf)
-                s.radiance = dr.select(connecting, s.radiance + contribution, s.radiance)
+                contribution = carried * value * link.light * link.weight(value_pdf)
+                s.radiance = dr.select(link.active, s.radiance + contribution, s.radiance)
 
             # --------------------------------------------------- the next ray
             s.active = on_surface | (collided & ~last) if media else on_surface
@@ -273,7 +285,17 @@ class NonexpVolpath(mi.SamplingIntegrator):
             scattered = s.active & ~passed
             s.far = mi.Float(dr.largest(mi.Float))
             s.depth = dr.select(scattered, s.depth + 1, s.depth)
-            s.pdf = dr.select(scattered, pdf, s.pdf)
+            if bent_hits:
+                # Out of the glass, the density is that of the last direction within.
+                out = s.armed & mi.has_flag(bs.sampled_type, mi.BSDFFlags.DeltaTransmission)
+                out &= scattered & on_surface & (dr.dot(d, si.n) > 0)
+                s.crossed = dr.select(scattered, out, s.crossed)
+                s.pdf = dr.select(scattered & ~out, pdf, s.pdf)
+                delta = on_surface & mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta)
+                s.armed = dr.select(scattered, in_glass & ~delta, s.armed)
+                s.anchor = dr.select(scattered & in_glass, p, s.anchor)
+            else:
+                s.pdf = dr.select(scattered, pdf, s.pdf)
             s.certain = dr.select(scattered, certain, s.certain)
             s.o, s.d = offset.onward(vertex, d), d
             if media:
@@ -329,6 +351,13 @@ class NonexpVolpath(mi.SamplingIntegrator):
         )
 
 
+def _choice(props: mi.Properties, name: str, allowed: tuple[str, ...]) -> str:
+    value = props.get(name, allowed[0])
+    if value not in allowed:
+        raise ValueError(f"{name} is {value!r}: it must be {', '.join(allowed[:-1])} or {allowed[-1]}")
+    return str(value)
+
+
 def _integer(props: mi.Properties, name: str, default: int, allowed: str, least: int) -> int:
     value = props.get(name, default)
     if type(value) is not int or not least <= value < 2**31:
@@ -352,9 +381,3 @@ def _collision(s: _Path, travelled: Any, gap: Any) -> Any:
 
 def _stay(location: Any, _direction: Any) -> Any:
     return location
-
-
-def _power_heuristic(a: mi.Float, b: mi.Float) -> mi.Float:
-    """Weight of a sample of density ``a`` that another technique finds with density ``b``."""
-    weight = dr.square(a) / (dr.square(a) + dr.square(b))
-    return dr.select(dr.isfinite(weight), weight, 0)
