@@ -197,6 +197,17 @@ class Connections:
             active=active,
         )
 
+    def reflected(
+        self, si: mi.SurfaceInteraction3f, vertex: mi.Interaction3f, bsdf: Any, active: Any
+    ) -> Any:
+        """Emission that a ray would meet, were it reflected at the glass."""
+        # The least random number chooses reflection.
+        bs, weight = bsdf.sample(mi.BSDFContext(), si, 0.0, mi.Point2f(0.5), active)
+        d = si.to_world(bs.wo)
+        ray = mi.Ray3f(self.offset.onward(vertex, d), d, vertex.time, vertex.wavelengths)
+        met = self.scene.ray_intersect(ray, active)
+        return weight * bs.pdf * met.emitter(self.scene).eval(met, active)
+
     def _refracted(self, light: Any, ds: mi.DirectionSample3f, crossing: Crossing) -> Any:
         """A sampled emitter's radiance over pdf, seen from behind the surface of glass."""
         if self.needs.near_emitters:

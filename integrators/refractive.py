@@ -145,6 +145,10 @@ class Refraction(ABC):
     def surface(self, x: Any, w: Any, it: Any, active: Any) -> tuple[Any, Any]:
         """Surface interaction, and BSDF, where a ray from ``x`` leaves the glass."""
 
+    @abstractmethod
+    def meets(self, si: Any) -> Any:
+        """Whether a ray met one of the surfaces, from outside."""
+
     def find(self, x: Any, straight: Line, it: Any, active: Any) -> tuple[Any, Crossing]:
         """Search the crossing on the way from ``x`` to where a straight line leads.
 
@@ -285,6 +289,9 @@ class Ball(Refraction):
         step = step * dr.minimum(1, 0.5 * self._radius / dr.maximum(size, 1e-30))
         return self._at(p + step, mi.Bool(True))
 
+    def meets(self, si: Any) -> Any:
+        return (si.shape == mi.ShapePtr(self._shape)) & (si.wi.z > 0)
+
     def surface(self, x: Any, w: Any, it: Any, active: Any) -> tuple[Any, Any]:
         ray = mi.Ray3f(x, w, it.time, it.wavelengths)
         si = self._shape.ray_intersect(ray, mi.RayFlags.All, active)
@@ -312,7 +319,7 @@ class Surfaces(Refraction):
         self._others = any(not shape.is_mesh() for shape in shapes)
         self._etas = dr.concat([_opaque(mi.Float, _eta(shape)) for shape in shapes])
         numbers = [int(_number(mi.ShapePtr(shape))[0]) for shape in shapes]
-        table = np.zeros(max(numbers) + 1, dtype=np.uint32)
+        table = np.full(max(numbers) + 1, len(shapes), dtype=np.uint32)
         table[numbers] = np.arange(len(shapes))
         self._table = mi.UInt32(table)
 
@@ -338,9 +345,7 @@ class Surfaces(Refraction):
                 dp, dn = of_mesh
         n = si.sh_frame.n
         valid = si.is_valid() & (dr.dot(d, n) > 0) & (dr.dot(d, si.n) > 0)
-        lobe = None
-        if not self._alone:
-            lobe = dr.gather(mi.UInt32, self._table, _number(si.shape), si.is_valid())
+        lobe = None if self._alone else self._lobe(si)
         return _Point(si.p, n, dp, dn, valid, lobe)
 
     def moved(self, x: Any, p: Any, step: Any, start: _Point, active: Any) -> _Point:
@@ -349,10 +354,21 @@ class Surfaces(Refraction):
             point.valid &= point.lobe == start.lobe
         return point
 
+    def meets(self, si: Any) -> Any:
+        return (self._lobe(si) < len(self._shapes)) & (si.wi.z > 0)
+
     def surface(self, x: Any, w: Any, it: Any, active: Any) -> tuple[Any, Any]:
         ray = mi.Ray3f(x, w, it.time, it.wavelengths)
         si = self._scene.ray_intersect(ray, mi.RayFlags.All, False, active)
         return si, self._alone.bsdf() if self._alone else si.bsdf()
+
+
+    def _lobe(self, si: Any) -> Any:
+        """Which of the surfaces an interaction is on; their number if none."""
+        number = _number(si.shape)
+        known = si.is_valid() & (number < len(self._table))
+        lobe = dr.gather(mi.UInt32, self._table, number, known)
+        return dr.select(known, lobe, len(self._shapes))
 
 
 def _mesh_derivatives(mesh: Any, si: Any, active: Any) -> Any:

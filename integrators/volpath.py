@@ -37,7 +37,7 @@ class _Path:
     """product of sampling weights"""
     radiance: Any
     """collected so far"""
-    seen: Any
+    opaque: Any
     """the camera ray met something: alpha of the pixel"""
     eta: Any
     """product of relative indices of refraction"""
@@ -71,6 +71,8 @@ class _Path:
     """the path comes straight from there (likewise)"""
     crossed: Any
     """it has since left the glass, and done nothing else (likewise)"""
+    seen: Any
+    """emission that the ray meets is already counted (likewise)"""
 
 
 class NonexpVolpath(mi.SamplingIntegrator):
@@ -132,7 +134,7 @@ class NonexpVolpath(mi.SamplingIntegrator):
             d=mi.Vector3f(ray.d),
             throughput=mi.Spectrum(1),
             radiance=mi.Spectrum(0),
-            seen=mi.Bool(scene.environment() is not None and not self.hide_emitters),
+            opaque=mi.Bool(scene.environment() is not None and not self.hide_emitters),
             eta=mi.Float(1),
             pdf=mi.Float(0),
             certain=mi.Bool(True),
@@ -149,6 +151,7 @@ class NonexpVolpath(mi.SamplingIntegrator):
             anchor=mi.Point3f(0) if bent_hits else None,
             armed=mi.Bool(False) if bent_hits else None,
             crossed=mi.Bool(False) if bent_hits else None,
+            seen=mi.Bool(False) if bent_hits else None,
         )
         time, wavelengths = ray.time, ray.wavelengths
         context = mi.BSDFContext()
@@ -211,6 +214,8 @@ class NonexpVolpath(mi.SamplingIntegrator):
                 lit = on_surface & (emitter != None)  # noqa: E711
                 if self.hide_emitters:
                     lit &= s.depth > 0
+                if bent_hits:
+                    lit &= ~s.seen
                 emitted = emitter.eval(si, lit)
                 if connections:
                     origin = s.vertex if null else s.o
@@ -224,7 +229,7 @@ class NonexpVolpath(mi.SamplingIntegrator):
             vertex = mi.Interaction3f(
                 0, time, wavelengths, p, dr.select(collided, 0, si.n) if media else si.n
             )
-            last = s.depth + 1 >= self.max_depth
+            first, last = s.depth == 0, s.depth + 1 >= self.max_depth
             wo = mi.Vector3f(0, 0, 1)
             if connections:
                 connecting, in_glass = mi.Bool(False), mi.Bool(False)
@@ -278,7 +283,7 @@ class NonexpVolpath(mi.SamplingIntegrator):
 
             # --------------------------------------------------- the next ray
             s.active = on_surface | (collided & ~last) if media else on_surface
-            s.seen |= s.active & ~passed
+            s.opaque |= s.active & ~passed
             s.active &= pdf > 0
             s.throughput = dr.select(s.active, s.throughput * weight, s.throughput)
             s.eta = dr.select(on_surface, s.eta * bs.eta, s.eta)
@@ -286,6 +291,13 @@ class NonexpVolpath(mi.SamplingIntegrator):
             s.far = mi.Float(dr.largest(mi.Float))
             s.depth = dr.select(scattered, s.depth + 1, s.depth)
             if bent_hits:
+                # What the camera sees reflected in glass is not left to chance.
+                s.seen = on_surface & first & ~last & glass.meets(si)
+                if media:
+                    s.seen &= ~media.inside(s.location)
+                reflected = carried * nee.reflected(si, vertex, bsdf, s.seen)
+                s.radiance = dr.select(s.seen, s.radiance + reflected, s.radiance)
+                s.seen &= mi.has_flag(bs.sampled_type, mi.BSDFFlags.DeltaReflection)
                 # Out of the glass, the density is that of the last direction within.
                 out = s.armed & mi.has_flag(bs.sampled_type, mi.BSDFFlags.DeltaTransmission)
                 out &= scattered & on_surface & (dr.dot(d, si.n) > 0)
@@ -332,7 +344,7 @@ class NonexpVolpath(mi.SamplingIntegrator):
         sampler, path = dr.while_loop(
             (sampler, path), lambda sampler, s: s.active, event, label="nonexp: path"
         )
-        return path.radiance, path.seen, []
+        return path.radiance, path.opaque, []
 
     def _skip_emitters(self, scene: mi.Scene, ray: Any, si: Any, active: Any) -> Any:
         """What stands behind the area emitters that a camera ray meets first."""
