@@ -25,11 +25,13 @@ _load_drjit()
 from . import models, parameters, plugins  # noqa: E402
 from .parameters import parameter  # noqa: E402
 from .rendering import Image, render  # noqa: E402
+from .targets import Progress  # noqa: E402
 from .transmittance import Draw, Transmittance  # noqa: E402
 
 __all__ = [
     "Draw",
     "Image",
+    "Progress",
     "Transmittance",
     "__version__",
     "models",

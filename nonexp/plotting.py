@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from . import models
+from .files import check_writable, replacing
 from .fitting import Fit
 from .leastsquares import backend
 from .transmittance import Transmittance
@@ -56,15 +56,9 @@ def require() -> None:
 
 def check(path: Path) -> None:
     """Raise ``ValueError`` or ``OSError`` unless a figure can be written there."""
-    name, folder = repr(str(path)), repr(str(path.parent))
     if path.suffix.lower() not in _SUFFIXES:
-        raise ValueError(f"output is {name}: it must end in {', '.join(_SUFFIXES)}")
-    if not path.parent.is_dir():
-        raise OSError(f"output is {name}: its folder {folder} does not exist")
-    if path.is_dir():
-        raise OSError(f"output is {name}: it is a folder")
-    if not os.access(path.parent, os.W_OK):
-        raise OSError(f"output is {name}: its folder {folder} must be writable")
+        raise ValueError(f"output is {str(path)!r}: it must end in {', '.join(_SUFFIXES)}")
+    check_writable(path)
 
 
 def save(figure: Figure, path: Path) -> None:
@@ -72,12 +66,8 @@ def save(figure: Figure, path: Path) -> None:
 
     An existing file is replaced when the new one is complete.
     """
-    aside = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
+    with replacing(path) as (aside,):
         figure.savefig(aside, format=path.suffix[1:].lower(), dpi=150)
-        os.replace(aside, path)
-    finally:
-        aside.unlink(missing_ok=True)
 
 
 # --------------------------------------------------------------------------------------- a model

@@ -1,8 +1,9 @@
 """Rendering in passes: the mean of independent images, and its standard error.
 
 Mitsuba renders an image in one uninterruptible call. Here it is the mean of passes: images of few
-samples per pixel with independent random numbers. Between passes there is progress to report, and
-their spread says how noisy the mean is. Works for any scene and integrator of Mitsuba.
+samples per pixel with independent random numbers. Between passes there is progress to report, a
+target to compare with and a checkpoint to write, and their spread says how noisy the mean is.
+Works for any scene and integrator of Mitsuba.
 
 >>> import mitsuba as mi, nonexp
 >>> mi.set_variant("llvm_ad_rgb")
@@ -13,30 +14,40 @@ their spread says how noisy the mean is. Works for any scene and integrator of M
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
-import time
-from collections.abc import Callable, Iterator
+import itertools
+import math
+import warnings
+from collections.abc import Callable, Generator, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-import numpy.typing as npt
+
+from . import checkpoint as checkpoints
+from . import sceneid
+from .moments import Accumulator, Array, Moments, Noise
+from .targets import Progress, Run, Targets
 
 __all__ = [
     "Accumulator",
+    "Array",
     "Image",
     "Plan",
     "Progress",
+    "Source",
+    "identity_of",
     "pass_seed",
     "passes",
     "plan",
     "planned",
     "render",
 ]
-
-Array = npt.NDArray[np.float64]
 
 MIN_PASSES = 8
 """Fewest passes, where the number of samples allows: below, the standard error is a guess."""
@@ -57,28 +68,33 @@ _TWO_PACKETS = 16
 
 @dataclass(frozen=True)
 class Plan:
-    """How the samples of a pixel are divided: ``passes`` passes of ``pass_spp`` each."""
+    """How the samples of a pixel are divided: ``passes`` passes of ``pass_spp`` each.
 
-    passes: int
+    ``passes`` is None where time or noise decides.
+    """
+
+    passes: int | None
     pass_spp: int
 
     @property
-    def spp(self) -> int:
+    def spp(self) -> int | None:
         """Samples per pixel in total."""
-        return self.passes * self.pass_spp
+        return None if self.passes is None else self.passes * self.pass_spp
 
 
-def plan(spp: int, pixels: int) -> Plan:
+def plan(spp: int | None, pixels: int) -> Plan:
     """Divide ``spp`` samples per pixel into passes, for an image of ``pixels`` pixels.
 
     A pass has a power of two of samples per pixel, no more than an eighth of ``spp`` and no more
     than 2^22 in the whole image; ``spp`` is rounded up to whole passes. Small images get passes
-    of at most 16, which repeat to the last bit. The plan depends on nothing else, so that it is
-    the same on every machine.
+    of at most 16, which repeat to the last bit; so do all whose ``spp`` is None, not known. The
+    plan depends on nothing else, so that it is the same on every machine.
 
     >>> plan(64, 480 * 360), plan(1000, 480 * 360).spp
-    (Plan(passes=8, pass_spp=8), 1024)
+    (Plan(passes=8, pass_spp=8), 1008)
     """
+    if spp is None:
+        return Plan(None, _power_of_two(min(_TWO_PACKETS, MAX_PASS_SAMPLES // pixels)))
     if not isinstance(spp, int) or spp < 1:
         raise ValueError(f"spp is {spp}: it must be a whole number >= 1")
     pass_spp = _power_of_two(min(spp // MIN_PASSES, MAX_PASS_SAMPLES // pixels))
@@ -87,20 +103,34 @@ def plan(spp: int, pixels: int) -> Plan:
     return Plan(-(-spp // pass_spp), pass_spp)
 
 
-def planned(scene: mi.Scene, spp: int | None = None, sensor: int = 0) -> Plan:
-    """The plan by which :func:`render` renders a scene; by default with the scene's own spp.
+def planned(
+    scene: mi.Scene, spp: int | None = None, sensor: int = 0, *, pass_spp: int | None = None
+) -> Plan:
+    """The plan by which :func:`render` renders ``spp`` samples per pixel, or the scene's own.
 
     A sampler that rounds its number of samples, such as ``stratified``, changes the pass size.
+    ``pass_spp`` chooses it.
     """
-    camera = scene.sensors()[sensor]
-    sampler = camera.sampler()
-    width, height = camera.film().crop_size()
-    scene_spp = sampler.sample_count()
-    wanted = plan(scene_spp if spp is None else spp, width * height)
+    return _planned(scene, spp or _sampler(scene, sensor).sample_count(), sensor, pass_spp)
+
+
+def _planned(scene: mi.Scene, spp: int | None, sensor: int, pass_spp: int | None) -> Plan:
+    width, height = scene.sensors()[sensor].film().crop_size()
+    wanted = plan(spp, width * height)
+    if pass_spp is not None:
+        if not isinstance(pass_spp, int) or pass_spp < 1:
+            raise ValueError(f"pass_spp is {pass_spp}: it must be a whole number >= 1")
+        wanted = Plan(None if spp is None else -(-spp // pass_spp), pass_spp)
+    sampler = _sampler(scene, sensor)
+    before = sampler.sample_count()
     sampler.set_sample_count(wanted.pass_spp)
-    pass_spp = sampler.sample_count()
-    sampler.set_sample_count(scene_spp)
-    return Plan(wanted.passes, pass_spp)
+    size = sampler.sample_count()
+    sampler.set_sample_count(before)
+    return Plan(wanted.passes, size)
+
+
+def _sampler(scene: mi.Scene, sensor: int) -> Any:
+    return scene.sensors()[sensor].sampler()
 
 
 def _power_of_two(limit: int) -> int:
@@ -138,7 +168,7 @@ def passes(
     camera = scene.sensors()[sensor]
     integrator = scene.integrator() if integrator is None else integrator
     colours = camera.film().base_channels_count()
-    for number in range(start, plan.passes):
+    for number in itertools.count(start) if plan.passes is None else range(start, plan.passes):
         with dr.suspend_grad():
             image = integrator.render(
                 scene, sensor=camera, seed=pass_seed(seed, number), spp=plan.pass_spp
@@ -153,45 +183,7 @@ def _rgb(image: Array, base_channels: int) -> Array:
     return np.repeat(image[:, :, :1], 3, axis=2)
 
 
-class Accumulator:
-    """Running mean and standard error of images (Welford's method, in double precision)."""
-
-    def __init__(self) -> None:
-        self.passes = 0
-        self._mean: Array = np.zeros(())
-        self._squares: Array = np.zeros(())
-
-    def add(self, image: Array) -> None:
-        """Take one more independent image."""
-        self.passes += 1
-        delta = image - self._mean
-        self._mean = self._mean + delta / self.passes
-        self._squares = self._squares + delta * (image - self._mean)
-
-    @property
-    def mean(self) -> Array:
-        """Mean of the images so far."""
-        return self._mean
-
-    @property
-    def stderr(self) -> Array:
-        """Standard error of :attr:`mean`, from the spread of the images; NaN for fewer than 2."""
-        if self.passes < 2:
-            return np.full_like(self._mean, np.nan)
-        stderr: Array = np.sqrt(self._squares / (self.passes - 1) / self.passes)
-        return stderr
-
-
 # --------------------------------------------------------------------- render
-
-
-@dataclass(frozen=True)
-class Progress:
-    """State of a run after a pass: ``done`` of ``passes`` passes, after ``seconds``."""
-
-    done: int
-    passes: int
-    seconds: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,41 +201,175 @@ class Image:
     passes: int
     seed: int
     seconds: float
+    error: float = math.nan
+    """relative standard error of the image, see :class:`nonexp.moments.Noise`"""
+    stopped: str = "spp"
+    """target that was reached: spp, time or error"""
+
+    @property
+    def pass_spp(self) -> int:
+        """Samples per pixel of a pass."""
+        return self.spp // self.passes
+
+
+Source = Callable[[Plan, int, int], Iterator[Array]]
+"""Who renders: (plan, seed, number of the first pass) -> images of the passes, in order."""
 
 
 def render(
     scene: mi.Scene,
     *,
     spp: int | None = None,
+    time: float | None = None,
+    error: float | None = None,
     seed: int = 0,
     sensor: int = 0,
+    pass_spp: int | None = None,
+    checkpoint: str | Path | None = None,
+    resume: bool = True,
+    interval: float = 60,
     on_progress: Callable[[Progress], Any] | None = None,
+    identity: Mapping[str, Any] | None = None,
+    source: Source | None = None,
 ) -> Image:
-    """Render a scene in passes.
+    """Render a scene in passes, until the first target is reached.
 
-    ``spp`` is the number of samples per pixel, rounded up to whole passes (see :func:`plan`); by
-    default, that of the scene's sampler. ``seed`` is a whole number >= 0. ``on_progress`` is
-    called after each pass, and may raise to stop the run.
+    Targets: ``spp`` samples per pixel, rounded up to whole passes (see :func:`plan`); ``time`` in
+    seconds; ``error``, the relative standard error of the image, such as 0.01, with 95 %
+    confidence (:class:`nonexp.moments.Noise` defines it). By default the samples of the scene's
+    sampler. ``seed`` is a whole number >= 0. ``on_progress`` is called after each pass, and may
+    raise to stop the run. ``pass_spp`` chooses the samples per pixel of a pass.
 
-    With a box filter and the ``independent`` sampler the same scene, spp and seed give the same
-    image to the last bit on the same machine; otherwise to about 1e-5 (sums are made in parallel).
+    ``checkpoint`` names a file that receives the state every ``interval`` seconds, at the end, and
+    when the run is broken off; where it exists the run goes on from there, unless ``resume`` is
+    false, and ``ValueError`` says so if it is of another render. What counts as the same render
+    is in ``identity``, by default :func:`nonexp.sceneid.of_scene`. ``source`` renders the passes
+    elsewhere.
+
+    With a box filter and the ``independent`` sampler the same scene, seed, size and number of
+    passes give the same image to the last bit on the same type of machine, however often the run
+    was broken off; otherwise to about 1e-5 (sums are made in parallel).
     """
+    _check(scene, time, error, seed, sensor, interval)
+    if spp is None and time is None and error is None:
+        spp = _sampler(scene, sensor).sample_count()
+    todo = _planned(scene, spp, sensor, pass_spp)
+    state, seconds, keeper = Moments(), 0.0, None
+    if checkpoint is not None:
+        path = Path(checkpoint)
+        about = identity_of(scene, sensor, seed, identity)
+        found, wrong = (checkpoints.load(path) if resume else None) or (None, "")
+        if wrong:
+            warnings.warn(f"{wrong}: the one before it is used", stacklevel=2)
+        if found is not None:
+            todo = _go_on(found, about, todo, spp, pass_spp, path)
+            state, seconds = found.moments, found.seconds
+        keeper = checkpoints.Keeper(
+            path,
+            {**about, "pass_spp": todo.pass_spp},
+            interval,
+            keep_present=found is not None and not wrong,
+            warn=lambda text: warnings.warn(text, stacklevel=2),
+        )
+    source = source or partial(_here, scene, sensor)
+    run = Run(Targets(todo.passes, time, error), todo.pass_spp, state, seconds)
+    sampler = _sampler(scene, sensor)
+    scene_spp = sampler.sample_count()
+    try:
+        _continue(run, source(todo, seed, state.passes), keeper, on_progress)
+    finally:
+        sampler.set_sample_count(scene_spp)
+        if keeper is not None and run.moments.passes > state.passes:
+            keeper.close(run.moments, run.seconds, run.stopped is not None)
+    return Image(
+        run.moments.mean,
+        run.moments.stderr,
+        run.moments.passes * todo.pass_spp,
+        run.moments.passes,
+        seed,
+        run.seconds,
+        Noise.of(run.moments).error,
+        run.stopped or "spp",
+    )
+
+
+def _here(scene: mi.Scene, sensor: int, plan: Plan, seed: int, start: int) -> Iterator[Array]:
+    return passes(scene, plan, seed, sensor=sensor, start=start)
+
+
+def _continue(
+    run: Run,
+    images: Iterator[Array],
+    keeper: checkpoints.Keeper | None,
+    on_progress: Callable[[Progress], Any] | None,
+) -> None:
+    """Take images until a target is reached."""
+    with contextlib.ExitStack() as stack:
+        if isinstance(images, Generator):
+            stack.callback(images.close)
+        while run.stopped is None and (image := next(images, None)) is not None:
+            run.take(image)
+            if on_progress is not None:
+                on_progress(run.progress())
+            if keeper is not None and run.stopped is None:
+                keeper.offer(run.moments, run.seconds)
+
+
+def _check(
+    scene: mi.Scene,
+    time: float | None,
+    error: float | None,
+    seed: int,
+    sensor: int,
+    interval: float,
+) -> None:
     if not isinstance(seed, int) or seed < 0:
         raise ValueError(f"seed is {seed}: it must be a whole number >= 0")
     if not 0 <= sensor < len(scene.sensors()):
         raise ValueError(f"sensor is {sensor}: the scene has {len(scene.sensors())} of them")
-    todo = planned(scene, spp, sensor)
-    sampler = scene.sensors()[sensor].sampler()
-    scene_spp = sampler.sample_count()
+    if time is not None and not 0 < time < math.inf:
+        raise ValueError(f"time is {time}: it must be a number of seconds > 0")
+    if error is not None and not 0 < error < 1:
+        raise ValueError(f"error is {error}: it must lie between 0 and 1, as in 0.01 for 1 %")
+    if not 0 <= interval < math.inf:
+        raise ValueError(f"interval is {interval}: it must be a number of seconds >= 0")
 
-    started = time.perf_counter()
-    total = Accumulator()
-    try:
-        for image in passes(scene, todo, seed, sensor=sensor):
-            total.add(image)
-            if on_progress is not None:
-                on_progress(Progress(total.passes, todo.passes, time.perf_counter() - started))
-    finally:
-        sampler.set_sample_count(scene_spp)
-    seconds = time.perf_counter() - started
-    return Image(total.mean, total.stderr, todo.spp, total.passes, seed, seconds)
+
+# --------------------------------------------------------------------- resumption
+
+
+def identity_of(
+    scene: mi.Scene, sensor: int, seed: int, identity: Mapping[str, Any] | None
+) -> dict[str, Any]:
+    """What has to be the same for a render to go on: the scene's, and what it is rendered with."""
+    width, height = scene.sensors()[sensor].film().crop_size()
+    return {
+        **(sceneid.of_scene(scene) if identity is None else identity),
+        "variant": mi.variant(),
+        "size": [width, height],
+        "sensor": sensor,
+        "seed": seed,
+        "versions": sceneid.versions(),
+    }
+
+
+def _go_on(
+    found: checkpoints.Checkpoint,
+    identity: Mapping[str, Any],
+    plan: Plan,
+    spp: int | None,
+    pass_spp: int | None,
+    path: Path,
+) -> Plan:
+    """The plan by which the render of a checkpoint goes on: with the pass size that it has.
+
+    Raises ``ValueError`` if the checkpoint is of another render.
+    """
+    size = found.identity["pass_spp"]
+    wanted = {**identity, "pass_spp": size if pass_spp is None else plan.pass_spp}
+    if differ := checkpoints.differences(found.identity, wanted):
+        raise ValueError(
+            f"checkpoint {str(path)!r} is of another render: {'; '.join(differ)} "
+            "(undo that to go on, or delete the file to start over)"
+        )
+    return Plan(None if spp is None else -(-spp // size), size)

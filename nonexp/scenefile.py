@@ -5,16 +5,16 @@ from __future__ import annotations
 import difflib
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import mitsuba as mi
 
-from . import models
+from . import models, scenewalk
 
-__all__ = ["LoadedScene", "SceneError", "explain", "load"]
+__all__ = ["LoadedScene", "SceneError", "elements", "explain", "load", "substituted"]
 
 
 class SceneError(ValueError):
@@ -32,9 +32,7 @@ class LoadedScene:
         """The integrator, if it shows the scene's nonexp media as exponential ones; else None."""
         if not self.integrators or any(name.startswith("nonexp_") for name in self.integrators):
             return None
-        media: list[Any] = [sensor.get_medium() for sensor in self.scene.sensors()]
-        for shape in self.scene.shapes():
-            media += [shape.interior_medium(), shape.exterior_medium()]
+        media = scenewalk.media(self.scene)
         held = any(type(medium).__name__.startswith("Nonexp") for medium in media)
         return self.integrators[0] if held else None
 
@@ -128,32 +126,48 @@ def _children(props: Any) -> set[int]:
 # --------------------------------------------------------------------- parameters of a file
 
 
+def elements(path: Path, values: dict[str, str]) -> Iterator[tuple[Path, ET.Element]]:
+    """Every element of a scene file and of those that it includes, with the file it stands in.
+
+    ``values`` are the parameters given; the defaults met on the way join them. Raises
+    :class:`SceneError` for an include that does not exist, ``ET.ParseError`` for what is not XML.
+    """
+    for element in ET.parse(path).iter():
+        if element.tag == "default" and "name" in element.attrib:
+            values.setdefault(element.attrib["name"], element.attrib.get("value", ""))
+        yield path, element
+        if element.tag == "include" and "filename" in element.attrib:
+            yield from elements(_included(path, element.attrib["filename"], values), values)
+
+
+def substituted(text: str, values: Mapping[str, str]) -> str:
+    """``text`` with ``$name`` replaced by the value of that parameter."""
+    return re.sub(r"\$(\w+)", lambda match: values.get(match[1], match[0]), text)
+
+
 def _parameters(path: Path, values: dict[str, str]) -> set[str]:
     """Names of the parameters that a scene file and the files it includes refer to.
 
-    ``values`` are the parameters given; the defaults met on the way join them. A file that is not
-    XML has no parameters here: Mitsuba's parser says what is wrong with it.
+    A file that is not XML makes all of ``values`` known: Mitsuba's parser says what is wrong.
     """
-    try:
-        elements = list(ET.parse(path).iter())
-    except (ET.ParseError, OSError, ValueError):
-        return set(values)
     names = set()
-    for element in elements:
-        for value in element.attrib.values():
-            names.update(re.findall(r"\$(\w+)", value))
-        if element.tag == "default" and "name" in element.attrib:
-            names.add(element.attrib["name"])
-            values.setdefault(element.attrib["name"], element.attrib.get("value", ""))
-        elif element.tag == "include" and "filename" in element.attrib:
-            names |= _parameters(_included(path, element.attrib["filename"], values), values)
+    try:
+        for _, element in elements(path, values):
+            for value in element.attrib.values():
+                names.update(re.findall(r"\$(\w+)", value))
+            if element.tag == "default" and "name" in element.attrib:
+                names.add(element.attrib["name"])
+    except SceneError:
+        raise
+    except (ET.ParseError, OSError, ValueError):
+        return names | set(values)
     return names
 
 
 def _included(path: Path, filename: str, values: Mapping[str, str]) -> Path:
     """File that an ``<include>`` names. Raises :class:`SceneError` if it does not exist."""
     used = [name for name in re.findall(r"\$(\w+)", filename) if name in values]
-    target = path.parent / re.sub(r"\$(\w+)", lambda m: values.get(m[1], m[0]), filename)
+    target = path.parent / substituted(filename, values)
     if target.is_file():
         return target
     files = sorted(file.stem for file in target.parent.glob(f"*{target.suffix}") if file.is_file())

@@ -10,13 +10,27 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import OpenEXR
 import pytest
 
-from nonexp import __version__, cli, fitting, models, output, rendering, scenefile
+from nonexp import (
+    __version__,
+    cli,
+    cli_common,
+    cli_progress,
+    denoising,
+    fitting,
+    models,
+    moments,
+    output,
+    rendering,
+    scenefile,
+    targets,
+)
 
 SCENE = """
 <scene version="3.0.0">
@@ -120,7 +134,8 @@ def test_the_exr_holds_mean_stderr_and_how_it_was_made(folder: Path) -> None:
     arguments = ("scene.xml", "-D", "alpha=0.5", "-D", "spp=3", "--spp", "16", "--seed", "7")
     result = subcommand("render", *arguments, "--variant", "llvm_ad_rgb")
     assert (result.returncode, result.stderr) == (0, "")
-    assert re.fullmatch(r"scene\.exr: 16 samples per pixel in 8 passes, \d+\.\d s\n", result.stdout)
+    said = r"scene\.exr: 16 samples per pixel in 8 passes, \d+\.\d s, error \d+\.\d\d%\n"
+    assert re.fullmatch(said, result.stdout)
     assert sorted(p.name for p in folder.iterdir()) == [
         "media", "scene.exr", "scene.png", "scene.xml"
     ]  # fmt: skip
@@ -131,11 +146,17 @@ def test_the_exr_holds_mean_stderr_and_how_it_was_made(folder: Path) -> None:
     assert header["nonexp:scene"] == "scene.xml"
     assert json.loads(str(header["nonexp:parameters"])) == {"alpha": "0.5", "spp": "3"}
     assert header["nonexp:integrator"] == "nonexp_volpath"
-    assert [header[f"nonexp:{k}"] for k in ("spp", "passes", "seed")] == [16, 8, 7]
+    counts = [header[f"nonexp:{k}"] for k in ("spp", "pass_spp", "passes", "seed")]
+    assert counts == [16, 2, 8, 7]
+    assert (header["nonexp:filter"], header["nonexp:stopped"]) == ("BoxFilter", "spp")
+    identity = json.loads(str(header["nonexp:identity"]))
+    assert sorted(identity["files"]) == ["media/gamma.xml", "scene.xml"]
+    assert len(str(header["nonexp:scene_hash"])) == 32
     assert header["nonexp:variant"] == "llvm_ad_rgb"
     assert header["nonexp:version"] == __version__
     assert header["nonexp:mitsuba"] and header["nonexp:drjit"] and header["nonexp:llvm"]
     assert float(str(header["nonexp:seconds"])) > 0
+    assert 0 < float(str(header["nonexp:error"])) < 1
 
     loaded = scenefile.load(Path("scene.xml"), {"alpha": "0.5"})
     image = rendering.render(loaded.scene, spp=16, seed=7)
@@ -292,6 +313,14 @@ ERRORS: dict[str, tuple[list[str], str]] = {
     "size": (["scene.xml", "--size", "12"], "--size is '12': it must be WIDTHxHEIGHT"),
     "size of nothing": (["scene.xml", "--size", "0x5"], "--size is '0x5': it must be"),
     "definition": (["scene.xml", "-D", "medium"], "-D is 'medium': it must be key=value"),
+    "time": (["scene.xml", "--time", "soon"], "--time is 'soon': it must be a time > 0, as in"),
+    "no time": (["scene.xml", "--time", "0m"], "--time is '0m': it must be a time > 0"),
+    "error": (["scene.xml", "--error", "200%"], "--error is '200%': it must lie between 0 and 100"),
+    "error text": (["scene.xml", "--error", "low"], "--error is 'low': it must lie between"),
+    "pass size": (["scene.xml", "--pass-spp", "0"], "--pass-spp is '0': it must be a whole number"),
+    "interval": (["scene.xml", "--checkpoint", "-5"], "--checkpoint .*"),
+    "nothing to resume": (["scene.xml", "--resume", "--checkpoint", "off"], "--resume needs check"),
+    "resume or not": (["scene.xml", "--resume", "--restart"], "not allowed with argument"),
     "option": (["scene.xml", "--sp"], "--sp"),
 }
 
@@ -320,7 +349,7 @@ def test_errors_are_one_sentence_and_leave_files_alone(run: Run, folder: Path, c
     assert (folder / "scene.exr").read_text() == (folder / "scene.png").read_text() == "old"
 
 
-@pytest.mark.parametrize("stage", ["_write_exr", "_write_png"])
+@pytest.mark.parametrize("stage", ["write_exr", "write_png"])
 def test_a_failure_while_writing_leaves_the_old_files(
     run: Run, folder: Path, monkeypatch: pytest.MonkeyPatch, stage: str
 ) -> None:
@@ -332,8 +361,13 @@ def test_a_failure_while_writing_leaves_the_old_files(
         (folder / name).write_text("old")
     before = sorted(folder.iterdir())
     monkeypatch.setattr(output, stage, fail)
-    assert run("scene.xml") == (2, "", "nonexp: error: No space left on device\n")
-    assert sorted(folder.iterdir()) == before
+    code, out, err = run("scene.xml")
+    assert (code, out) == (2, "")
+    assert err == (
+        "nonexp: error: 'scene.exr' cannot be written: No space left on device "
+        "(what is done is in 'scene.exr.checkpoint', from which --resume goes on)\n"
+    )
+    assert sorted(folder.iterdir()) == sorted([*before, folder / "scene.exr.checkpoint"])
     assert (folder / "scene.exr").read_text() == (folder / "scene.png").read_text() == "old"
 
 
@@ -355,23 +389,58 @@ def test_the_output_is_checked_before_the_scene_is_loaded(
     assert run("scene.xml", "-o", "no/a.exr")[0] == 2
 
 
-def test_ctrl_c_writes_nothing(run: Run, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("number", "said", "code"), [("SIGINT", "interrupted", 130), ("SIGTERM", "terminated", 143)]
+)
+@pytest.mark.parametrize("checkpoint", ["60", "off"])
+def test_a_signal_ends_the_run_after_the_pass(
+    run: Run, folder: Path, monkeypatch: pytest.MonkeyPatch,
+    number: str, said: str, code: int, checkpoint: str,
+) -> None:  # fmt: skip
     def interrupted(*arguments: Any, **keywords: Any) -> Iterator[Any]:
-        for image in passes(*arguments, **keywords):
+        for i, image in enumerate(passes(*arguments, **keywords)):
+            if i == 1:
+                os.kill(os.getpid(), getattr(signal, number))
             yield image
-            os.kill(os.getpid(), signal.SIGINT)
 
     passes = rendering.passes
     monkeypatch.setattr(rendering, "passes", interrupted)
     (folder / "scene.exr").write_text("old")
-    # A process that a shell has put into the background ignores the signal.
-    handler = signal.signal(signal.SIGINT, signal.default_int_handler)
+    # A process that a shell has put into the background ignores SIGINT.
+    handler = signal.signal(getattr(signal, number), signal.default_int_handler)
     try:
-        assert run("scene.xml") == (130, "", "nonexp: interrupted, nothing written\n")
+        found, out, err = run("scene.xml", "--checkpoint", checkpoint)
     finally:
-        signal.signal(signal.SIGINT, handler)
-    assert sorted(p.name for p in folder.iterdir()) == ["media", "scene.exr", "scene.xml"]
+        signal.signal(getattr(signal, number), handler)
+    assert (found, out) == (code, "")
     assert (folder / "scene.exr").read_text() == "old"
+    assert err.splitlines()[0] == "nonexp: ending after this pass (once more: at once)"
+    names = {path.name for path in folder.iterdir()} - {"media", "scene.exr", "scene.xml"}
+    if checkpoint == "off":
+        assert err.splitlines()[1] == f"nonexp: {said}, nothing written"
+        assert names == set()
+        return
+    assert err.splitlines()[1].startswith(f"nonexp: {said}; what is done is in 'scene.exr.check")
+    assert names == {"scene.exr.checkpoint"}
+    monkeypatch.undo()
+    monkeypatch.chdir(folder)
+    assert run("scene.xml", "--resume")[::2] == (0, "")
+    whole = rendering.render(scenefile.load(Path("scene.xml"), {}).scene)
+    np.testing.assert_array_equal(
+        read(folder / "scene.exr")[1]["R"], whole.mean[:, :, 0].astype(np.float32)
+    )
+
+
+def test_ctrl_c_before_the_first_pass_writes_nothing(
+    run: Run, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(scenefile, "load", interrupted)
+    before = sorted(folder.iterdir())
+    assert run("scene.xml") == (130, "", "nonexp: interrupted, nothing written\n")
+    assert sorted(folder.iterdir()) == before
 
 
 @pytest.mark.parametrize("command", ["render", "doctor"])
@@ -587,8 +656,8 @@ def test_help_and_version() -> None:
     assert (shown.returncode, shown.stdout) == (0, f"nonexp {__version__}\n")
     shown = subcommand("--help")
     assert shown.returncode == 0
-    for command in ("render", "models", "plot", "fit", "doctor"):
-        assert command in shown.stdout
+    for command in cli.COMMANDS:
+        assert f"\n    {command} " in shown.stdout
 
 
 @pytest.mark.parametrize("arguments", [[], ["rendre"], ["render"]])
@@ -597,3 +666,108 @@ def test_bad_usage_is_one_line(arguments: list[str], capsys: pytest.CaptureFixtu
     err = capsys.readouterr().err
     assert err.startswith("nonexp: error: ")
     assert err.count("\n") == 1
+
+
+# --------------------------------------------------------------------- long renders
+
+
+def test_targets_of_the_command_are_those_of_the_library(run: Run, folder: Path) -> None:
+    job = ("scene.xml", "--seed", "3", "--pass-spp", "2")
+    code, out, err = run(*job, "--error", "6%", "--time", "1h")
+    assert (code, err) == (0, "")
+    header, channels = read(folder / "scene.exr")
+    loaded = scenefile.load(Path("scene.xml"), {})
+    image = rendering.render(loaded.scene, error=0.06, seed=3, pass_spp=2)
+    assert (header["nonexp:passes"], header["nonexp:stopped"]) == (image.passes, "error")
+    assert header["nonexp:error"] == pytest.approx(image.error)
+    np.testing.assert_array_equal(channels["R"], image.mean[:, :, 0].astype(np.float32))
+    assert f"{image.spp} samples per pixel in {image.passes} passes" in out
+    code, out, err = run(*job, "--time", "0.2s", "-o", "timed.exr")
+    assert (code, err) == (0, "")
+    assert read(folder / "timed.exr")[0]["nonexp:stopped"] == "time"
+
+
+@pytest.mark.parametrize(
+    ("text", "seconds"), [("90", 90), ("90s", 90), ("10m", 600), ("2h30m", 9000), ("1.5d", 129600)]
+)
+def test_times_are_understood(text: str, seconds: float) -> None:
+    assert cli_common.duration(text) == seconds
+    assert cli_common.fraction("1.5%") == cli_common.fraction("0.015") == pytest.approx(0.015)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [
+        (0.04, "0.0 s"),
+        (59.94, "59.9 s"),
+        (185, "3 min 05 s"),
+        (7620, "2 h 07 min"),
+        (97200, "1 d 03 h"),
+    ],
+)
+def test_times_are_written_as_people_do(seconds: float, text: str) -> None:
+    assert cli_progress.time(seconds) == text
+
+
+def test_progress_is_one_line() -> None:
+    progress = targets.Progress(12, None, 30.0, 16, 2.5, moments.Noise(0.034, 0.035), 1234.0)
+    said = cli_progress.describe(progress, 480 * 360, 0.01)
+    assert said == "192 spp, 1.1 M/s, error 3.40% (to be 1%), 20 min 34 s left"
+
+
+def test_resuming_without_a_checkpoint_starts_over(run: Run, folder: Path) -> None:
+    code, _, err = run("scene.xml", "--resume")
+    assert code == 0
+    why = "there is no checkpoint 'scene.exr.checkpoint': starting from the beginning"
+    assert err == f"nonexp: {why}\n"
+    assert not (folder / "scene.exr.checkpoint").exists()  # quicker made again than kept
+
+
+def test_another_scene_is_not_resumed(run: Run, folder: Path) -> None:
+    assert run("scene.xml", "--checkpoint", "0")[0] == 0
+    old = (folder / "scene.exr.checkpoint").read_bytes()
+    code, out, err = run("scene.xml", "--resume", "--checkpoint", "0", "-D", "alpha=0.7")
+    assert (code, out) == (2, "")
+    assert "is of another render: parameter alpha was not given, is 0.7" in err
+    text = (folder / "media/gamma.xml").read_text()
+    (folder / "media/gamma.xml").write_text(text.replace('value="0.8"', 'value="0.7"'))
+    assert "file media/gamma.xml has changed" in run("scene.xml", "--resume")[2]
+    assert (folder / "scene.exr.checkpoint").read_bytes() == old
+
+
+def test_a_denoised_image_is_added_and_named(
+    run: Run, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fake(image: np.ndarray, **options: object) -> np.ndarray:
+        assert options == {"hdr": True} and image.dtype == np.float32
+        return np.full_like(image, 0.5)
+
+    monkeypatch.setitem(sys.modules, "pyoidn", SimpleNamespace(denoise=fake))
+    monkeypatch.setattr(denoising.metadata, "version", lambda name: f"of {name}")
+    assert run("scene.xml", "--seed", "4", "--denoise")[0] == 0
+    header, channels = read(folder / "scene.exr")
+    assert header["nonexp:denoiser"] == "Open Image Denoise of pyoidn"
+    assert (channels["denoised.G"] == 0.5).all()
+    assert (folder / "scene.denoised.png").is_file()
+    assert run("scene.xml", "--seed", "4", "-o", "raw.exr")[0] == 0
+    plain, raw = read(folder / "raw.exr")
+    assert "nonexp:denoiser" not in plain
+    for name, values in raw.items():
+        np.testing.assert_array_equal(values, channels[name])
+
+
+def test_open_image_denoise_removes_noise() -> None:
+    pytest.importorskip("pyoidn")
+    noisy = np.random.default_rng(1).gamma(4, 0.25, (64, 64, 3))
+    clean, name = denoising.denoise(noisy)
+    assert name.startswith("Open Image Denoise 2.")
+    assert clean.std() < noisy.std() / 4
+    assert clean.mean() == pytest.approx(noisy.mean(), rel=0.05)
+
+
+def test_without_a_denoiser_the_extra_is_named(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pyoidn", None)
+    code, _, err = run("scene.xml", "--denoise")
+    assert code == 2
+    assert "denoising needs a CUDA variant, or Open Image Denoise, which is not installed" in err
+    assert "pip install 'nonexp[denoise]'" in err

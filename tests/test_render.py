@@ -51,6 +51,7 @@ def scene(
 @pytest.mark.parametrize("spp", [1, 7, 8, 20, 64, 100, 1000, 4096, 100_000])
 def test_a_plan_rounds_up_by_less_than_a_pass_and_repeats_to_the_bit(spp: int, pixels: int) -> None:
     plan = rendering.plan(spp, pixels)
+    assert plan.passes is not None and plan.spp is not None
     assert 0 <= plan.spp - spp < plan.pass_spp
     assert plan.passes >= min(spp, rendering.MIN_PASSES)
     assert plan.pass_spp & (plan.pass_spp - 1) == 0
@@ -58,6 +59,18 @@ def test_a_plan_rounds_up_by_less_than_a_pass_and_repeats_to_the_bit(spp: int, p
     assert samples <= rendering.MAX_PASS_SAMPLES or plan.pass_spp == 1
     # No two of 64 threads share a pixel: blocks of 2^14 samples, or two packets of 8 per pixel.
     assert (samples > 2**15 * 64 and plan.pass_spp <= 2**14) or plan.pass_spp <= 2 * 8
+
+
+@pytest.mark.parametrize("pixels", [1, 12 * 16, 300 * 200, 480 * 360, 1920 * 1080, 16384 * 16384])
+def test_the_pass_size_without_spp_is_that_of_large_spp_and_repeats_to_the_bit(
+    pixels: int,
+) -> None:
+    plan = rendering.plan(None, pixels)
+    assert plan.passes is None and plan.spp is None
+    assert plan.pass_spp <= 2 * 8
+    if pixels > rendering.MAX_PASS_SAMPLES / 32:
+        assert plan.pass_spp == rendering.plan(1024, pixels).pass_spp
+        assert plan.pass_spp == rendering.plan(4096, pixels).pass_spp
 
 
 @pytest.mark.parametrize("spp", [0, -1])
@@ -78,20 +91,6 @@ def test_passes_of_neighbouring_seeds_are_different_images() -> None:
     plan = rendering.Plan(passes=3, pass_spp=4)
     images = [p.tobytes() for seed in (0, 1, 2) for p in rendering.passes(target, plan, seed)]
     assert len(set(images)) == 9
-
-
-# --------------------------------------------------------------------- accumulator
-
-
-def test_the_accumulator_has_mean_and_standard_error() -> None:
-    images = np.random.default_rng(1).normal(1e6, 1.0, (11, 3, 4, 3))
-    total = rendering.Accumulator()
-    total.add(images[0])
-    assert np.isnan(total.stderr).all()
-    for image in images[1:]:
-        total.add(image)
-    np.testing.assert_allclose(total.mean, images.mean(axis=0), rtol=1e-14)
-    np.testing.assert_allclose(total.stderr, images.std(axis=0, ddof=1) / np.sqrt(11), rtol=1e-6)
 
 
 # --------------------------------------------------------------------- render
@@ -210,18 +209,28 @@ def test_a_negative_seed_is_refused() -> None:
         rendering.render(scene(), seed=-1)
 
 
+@pytest.mark.parametrize("pass_spp", [1, 4, 16])
+def test_the_pass_size_can_be_chosen(pass_spp: int) -> None:
+    image = rendering.render(scene(), spp=30, pass_spp=pass_spp)
+    assert (image.pass_spp, image.passes) == (pass_spp, -(-30 // pass_spp))
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         ({"spp": 2.5}, "spp is 2.5: it must be a whole number >= 1"),
+        ({"spp": 0}, "spp is 0: it must be a whole number >= 1"),
+        ({"pass_spp": 0}, "pass_spp is 0: it must be a whole number >= 1"),
         ({"seed": 1.5}, "seed is 1.5: it must be a whole number >= 0"),
         ({"seed": -1}, "seed is -1: it must be a whole number >= 0"),
         ({"sensor": 3}, "sensor is 3: the scene has 0 of them"),
+        ({"time": 0}, "time is 0: it must be a number of seconds > 0"),
+        ({"error": 1.0}, "error is 1.0: it must lie between 0 and 1"),
+        ({"error": -0.1}, "error is -0.1: it must lie between 0 and 1"),
+        ({"interval": -1}, "interval is -1: it must be a number of seconds >= 0"),
     ],
 )
 def test_bad_arguments_are_named(arguments: dict[str, Any], message: str) -> None:
-    scene = mi.load_dict({"type": "scene"})
+    target = mi.load_dict({"type": "scene"}) if "sensor" in arguments else scene()
     with pytest.raises(ValueError, match=re.escape(message)):
-        if "spp" in arguments:
-            rendering.plan(arguments["spp"], 100)
-        nonexp.render(scene, **arguments)
+        nonexp.render(target, **arguments)

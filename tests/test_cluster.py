@@ -1,0 +1,163 @@
+"""Rendering on several workers: the image of one machine, whatever happens to them."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from nonexp import cli, cluster, rendering, scenefile, scenefiles, sceneid
+from nonexp.rendering import Plan
+
+pytest.importorskip("distributed")
+
+ROOT = Path(__file__).resolve().parent.parent
+
+SCENE = """
+<scene version="3.0.0">
+    <default name="b" value="1"/>
+    <integrator type="nonexp_volpath"><integer name="max_depth" value="4"/></integrator>
+    <sensor type="perspective">
+        <transform name="to_world">
+            <lookat origin="0, 0, 4" target="0, 0, 0" up="0, 1, 0"/>
+        </transform>
+        <film type="hdrfilm">
+            <integer name="width" value="12"/> <integer name="height" value="10"/>
+            <rfilter type="box"/>
+        </film>
+    </sensor>
+    <emitter type="constant"/>
+    <include filename="medium.xml"/>
+    <shape type="sphere"><bsdf type="null"/><ref name="interior" id="medium"/></shape>
+</scene>
+"""
+MEDIUM = """
+<scene version="3.0.0">
+    <medium type="nonexp_homogeneous" id="medium">
+        <texture type="transmittance_linear" name="t"><float name="b" value="$b"/></texture>
+    </medium>
+</scene>
+"""
+
+
+@pytest.fixture(scope="module")
+def workers() -> Iterator[cluster.Cluster]:
+    """Two workers on this machine."""
+    before = os.environ.get("PYTHONPATH")
+    os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, (str(ROOT), before)))
+    try:
+        with cluster.connect("local:2") as connected:
+            yield connected
+    finally:
+        if before is None:
+            del os.environ["PYTHONPATH"]
+        else:
+            os.environ["PYTHONPATH"] = before
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    (tmp_path / "scene.xml").write_text(SCENE)
+    (tmp_path / "medium.xml").write_text(MEDIUM)
+    return tmp_path / "scene.xml"
+
+
+def job(passes: int | None, parameters: dict[str, str] | None = None) -> cluster.Job:
+    return cluster.Job(
+        root="scene.xml",
+        parameters=parameters or {},
+        size=None,
+        variant=mi.variant() or "",
+        plan=Plan(passes, 4),
+        seed=5,
+        versions=sceneid.versions(),
+    )
+
+
+def test_the_passes_are_those_of_one_machine_in_order(workers: cluster.Cluster, path: Path) -> None:
+    assert workers.workers() == 2
+    assert re.match(r"http://.*:\d+/status", workers.dashboard)
+    files = scenefiles.collect(path, {})
+    here = list(rendering.passes(scenefile.load(path, {}).scene, Plan(9, 4), 5))
+    there = list(workers.passes(files, job(9)))
+    np.testing.assert_array_equal(there, here)
+    np.testing.assert_array_equal(list(workers.passes(files, job(9), start=6)), here[6:])
+    other = next(workers.passes(scenefiles.collect(path, {"b": "2"}), job(1, {"b": "2"})))
+    assert not np.array_equal(other, here[0])
+
+
+def test_an_open_end_is_cut_when_enough_is_there(workers: cluster.Cluster, path: Path) -> None:
+    files, loaded = scenefiles.collect(path, {}), scenefile.load(path, {})
+
+    def source(plan: Plan, seed: int, start: int) -> Iterator[rendering.Array]:
+        return workers.passes(files, replace(job(None), plan=plan, seed=seed), start)
+
+    image = rendering.render(loaded.scene, error=0.05, seed=3, pass_spp=2, source=source)
+    alone = rendering.render(loaded.scene, error=0.05, seed=3, pass_spp=2)
+    assert image.stopped == alone.stopped == "error"
+    assert image.passes == alone.passes
+    np.testing.assert_array_equal(image.mean, alone.mean)
+    np.testing.assert_array_equal(image.stderr, alone.stderr)
+
+
+def test_a_worker_that_is_killed_costs_time_but_nothing_else(
+    workers: cluster.Cluster, path: Path
+) -> None:
+    files = scenefiles.collect(path, {})
+    here = list(rendering.passes(scenefile.load(path, {}).scene, Plan(40, 4), 5))
+    there = []
+    for number, image in enumerate(workers.passes(files, job(40))):
+        there.append(image)
+        if number == 5:
+            processes = workers._client.run(os.getpid)
+            os.kill(next(iter(processes.values())), signal.SIGKILL)
+    np.testing.assert_array_equal(there, here)
+
+
+def test_another_version_on_a_worker_is_refused(workers: cluster.Cluster, path: Path) -> None:
+    versions = {**sceneid.versions(), "drjit": "9.9"}
+    asked = replace(job(2), versions=versions)
+    with pytest.raises(ValueError, match=r"a worker on .* has drjit [\d.]+ instead of drjit 9\.9"):
+        next(workers.passes(scenefiles.collect(path, {}), asked))
+
+
+def test_the_command_renders_the_same_file(
+    path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+    workers: cluster.Cluster,
+) -> None:  # fmt: skip
+    monkeypatch.chdir(path.parent)
+    words = ["render", "scene.xml", "--variant", "llvm_ad_rgb", "--spp", "40", "-D", "b=1.5"]
+    assert cli.main([*words, "-o", "one.exr"]) == 0
+    address = workers._client.scheduler.address
+    assert cli.main([*words, "-o", "two.exr", "--cluster", address]) == 0
+    assert re.search(r"nonexp: \d workers?, dashboard at http://", capsys.readouterr().err)
+    assert Path("one.png").read_bytes() == Path("two.png").read_bytes()
+    from test_checkpoint import content
+
+    assert content(Path("one.exr")) == content(Path("two.exr"))
+
+
+def test_an_address_without_scheduler_is_told(
+    path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(path.parent)
+    monkeypatch.setattr(cluster, "_TIMEOUT", 0.2)
+    words = ["render", "scene.xml", "--variant", "llvm_ad_rgb", "--spp", "8", "--cluster"]
+    assert cli.main([*words, "tcp://127.0.0.1:9"]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "--cluster is 'tcp://127.0.0.1:9': no scheduler answers there (it must be" in said
+
+
+def test_without_dask_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(ImportError, match=r"pip install 'nonexp\[cluster\]'"):
+        cluster.require()

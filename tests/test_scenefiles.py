@@ -1,0 +1,168 @@
+"""The files of a scene: found, told apart, packed, and found again elsewhere."""
+
+from __future__ import annotations
+
+import zipfile
+from io import BytesIO
+from pathlib import Path
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from nonexp import scenefile, scenefiles, scenewalk
+
+SCENES = Path(__file__).resolve().parent.parent / "scenes"
+
+SCENE = """
+<scene version="3.0.0">
+    <default name="law" value="laws:half"/>
+    <default name="table" value="unused.csv"/>
+    <default name="medium" value="own"/>
+    <integrator type="nonexp_volpath"><integer name="max_depth" value="3"/></integrator>
+    <sensor type="perspective">
+        <transform name="to_world">
+            <lookat origin="0, 0, 4" target="0, 0, 0" up="0, 1, 0"/>
+        </transform>
+        <film type="hdrfilm">
+            <integer name="width" value="8"/> <integer name="height" value="8"/>
+            <rfilter type="box"/>
+        </film>
+    </sensor>
+    <emitter type="constant"/>
+    <include filename="parts/$medium.xml"/>
+    <shape type="ply">
+        <string name="filename" value="parts/cube.ply"/>
+        <bsdf type="null"/><ref name="interior" id="medium"/>
+    </shape>
+</scene>
+"""
+OWN = """
+<scene version="3.0.0">
+    <medium type="nonexp_homogeneous" id="medium">
+        <texture type="transmittance_custom" name="t"><string name="ff" value="$law"/></texture>
+    </medium>
+</scene>
+"""
+TABLE = """
+<scene version="3.0.0">
+    <medium type="nonexp_homogeneous" id="medium">
+        <texture type="transmittance_tabulated" name="t">
+            <string name="filename" value="$table"/>
+        </texture>
+    </medium>
+</scene>
+"""
+LAW = "import drjit as dr\n\ndef half(tau):\n    return 0.5 * (dr.exp(-tau) + dr.exp(-2 * tau))\n"
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    folder = tmp_path / "scene"
+    (folder / "parts").mkdir(parents=True)
+    (folder / "a.xml").write_text(SCENE)
+    (folder / "parts/own.xml").write_text(OWN)
+    (folder / "parts/table.xml").write_text(TABLE)
+    (folder / "laws.py").write_text(LAW)
+    for name in ("used.csv", "unused.csv"):
+        (folder / name).write_text("0,1\n1,0.4\n2,0.2\n4,0.05\n")
+    mi.load_dict({"type": "cube"}).write_ply(str(folder / "parts/cube.ply"))
+    return folder / "a.xml"
+
+
+def test_includes_meshes_and_modules_are_found(scene: Path) -> None:
+    found = scenefiles.collect(scene, {})
+    assert sorted(found.digests()) == ["a.xml", "laws.py", "parts/cube.ply", "parts/own.xml"]
+
+
+def test_parameters_choose_the_files(scene: Path) -> None:
+    found = scenefiles.collect(scene, {"medium": "table", "table": "used.csv"})
+    assert sorted(found.digests()) == ["a.xml", "parts/cube.ply", "parts/table.xml", "used.csv"]
+
+
+def test_the_scenes_of_the_project_are_whole() -> None:
+    dragon = scenefiles.collect(SCENES / "dragon.xml", {"medium": "tabulated"}).digests()
+    assert {"dragon.xml", "room.xml", "media/tabulated.xml", "media/packing.csv"} <= set(dragon)
+    assert {"meshes/dragon.ply", "textures/wood_floor.png"} <= set(dragon)
+    assert "laws.py" in scenefiles.collect(SCENES / "fog.xml", {"medium": "custom"}).digests()
+
+
+def test_every_change_changes_a_checksum(scene: Path) -> None:
+    before = scenefiles.collect(scene, {}).digests()
+    for name in before:
+        path = scene.parent / name
+        old = path.read_bytes()
+        path.write_bytes(old + b"\n")
+        after = scenefiles.collect(scene, {}).digests()
+        assert [n for n in before if before[n] != after[n]] == [name]
+        path.write_bytes(old)
+    assert scenefiles.collect(scene, {}).digests() == before
+
+
+def test_a_packed_scene_renders_the_same_elsewhere(scene: Path, tmp_path: Path) -> None:
+    files = scenefiles.collect(scene, {})
+    files.check_movable()
+    packed = files.pack()
+    assert files.pack() == packed
+    moved = tmp_path / "moved"
+    with zipfile.ZipFile(BytesIO(packed)) as archive:
+        archive.extractall(moved)
+    here, there = (
+        np.array(mi.render(scenefile.load(path, {}).scene, spp=4, seed=1))
+        for path in (scene, moved / "a.xml")
+    )
+    assert here.std() > 0
+    np.testing.assert_array_equal(here, there)
+
+
+def test_files_above_the_scene_are_packed_too(scene: Path) -> None:
+    above = scene.parent.parent / "own.xml"
+    (scene.parent / "parts/own.xml").rename(above)
+    scene.write_text(SCENE.replace("parts/$medium.xml", "../$medium.xml"))
+    files = scenefiles.collect(scene, {})
+    assert files.folder == above.parent.resolve()
+    with zipfile.ZipFile(BytesIO(files.pack())) as archive:
+        assert sorted(archive.namelist()) == [
+            "own.xml", "scene/a.xml", "scene/laws.py", "scene/parts/cube.ply"
+        ]  # fmt: skip
+
+
+def test_absolute_paths_cannot_be_moved(scene: Path) -> None:
+    mesh = scene.parent.resolve() / "parts/cube.ply"
+    scene.write_text(SCENE.replace("parts/cube.ply", str(mesh)))
+    files = scenefiles.collect(scene, {})
+    assert "parts/cube.ply" in files.digests()
+    with pytest.raises(ValueError, match=r"a\.xml refers to '/.*cube\.ply' by an absolute path"):
+        files.check_movable()
+
+
+# --------------------------------------------------------------------- media of a scene
+
+
+def test_media_are_found_wherever_they_hang() -> None:
+    def medium(sigma_t: float) -> dict[str, object]:  # equal ones would be merged
+        return {"type": "nonexp_homogeneous", "sigma_t": sigma_t}
+
+    ball = {"type": "sphere", "bsdf": {"type": "null"}}
+    built = mi.load_dict(
+        {
+            "type": "scene",
+            "group": {"type": "shapegroup", "ball": {**ball, "interior": medium(1.0)}},
+            "instance": {"type": "instance", "group": {"type": "ref", "id": "group"}},
+            "camera": {"type": "perspective", "medium": medium(2.0)},
+            "lamp": {"type": "point", "medium": medium(3.0)},
+            "ball": {**ball, "exterior": medium(4.0)},
+        }
+    )
+    assert len(scenewalk.media(built)) == 4
+    assert scenefile.LoadedScene(built, ("volpath",)).exponential_counterpart() == "volpath"
+    only_instances = mi.load_dict(
+        {
+            "type": "scene",
+            "group": {"type": "shapegroup", "ball": {**ball, "interior": medium(5.0)}},
+            "instance": {"type": "instance", "group": {"type": "ref", "id": "group"}},
+        }
+    )
+    loaded = scenefile.LoadedScene(only_instances, ("volpath",))
+    assert loaded.exponential_counterpart() == "volpath"
+    assert scenefile.LoadedScene(built, ("nonexp_volpath",)).exponential_counterpart() is None
