@@ -2,13 +2,16 @@
 
 NONEXP = .venv/bin/nonexp
 
-.PHONY: help dragon test test-slow lint clean
+.PHONY: help dragon test test-slow bench lint docs gallery clean
 
 help:
 	@echo 'make dragon     render scenes/dragon.xml to out/dragon.exr and out/dragon.png'
 	@echo 'make test       lint, types and tests'
 	@echo 'make test-slow  tests with full-size statistics'
+	@echo 'make bench      run time against error beside Mitsuba, into docs/benchmarks (30 minutes)'
 	@echo 'make lint       lint and types only'
+	@echo 'make docs       documentation, notebooks executed, in out/docs/docs/index.html'
+	@echo 'make gallery    pictures of all models, docs/gallery.md; goes on where it was stopped'
 	@echo 'make clean      remove .venv, out and caches'
 	@echo
 	@echo 'All of them first make .venv, with what they need. Other scenes, models and options:'
@@ -24,10 +27,21 @@ test: lint
 test-slow: .venv/.installed
 	.venv/bin/python -m pytest --full
 
+bench: .venv/.installed
+	$(NONEXP) bench --out docs/benchmarks
+
 lint: .venv/.installed
 	.venv/bin/ruff check .
 	.venv/bin/ruff format --check .
 	.venv/bin/mypy
+
+# Warnings are errors. DOCS='-D nb_execution_mode=off' leaves the notebooks as they are (seconds).
+docs: .venv/.installed
+	.venv/bin/python -m sphinx -W --keep-going -c docs $(DOCS) . out/docs
+
+# Half an hour on two cores; GALLERY='--spp 64 --size 192x144' for a look.
+gallery: .venv/.installed
+	.venv/bin/python tools/gallery.py $(GALLERY)
 
 .venv/.installed: pyproject.toml tools/setup.sh
 	sh tools/setup.sh

@@ -1,0 +1,120 @@
+"""Who competes: integrators with their options."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import mitsuba as mi
+
+from .scenes import Case, Filling, Scene
+
+__all__ = ["BASELINES", "COMPETITORS", "Competitor", "competing", "known", "reference_competitor"]
+
+
+@dataclass(frozen=True)
+class Competitor:
+    """An integrator, and where it takes part.
+
+    ``properties`` go to the integrator, beside the depths of the scene; ``medium``, not None for
+    integrators that render Mitsuba's own media (only these), are properties of those. It takes
+    part in scenes that have all tags ``needs`` and none of ``not_with``; in a quick run only if
+    ``quick``. ``later`` bounces are added to the scene's ``rr_depth``.
+    ``module`` is imported first, to register a plugin of one's own.
+    """
+
+    name: str
+    plugin: str
+    properties: Mapping[str, Any] = field(default_factory=dict)
+    medium: Mapping[str, Any] | None = None
+    needs: frozenset[str] = frozenset()
+    not_with: frozenset[str] = frozenset()
+    quick: bool = False
+    later: int = 0
+    module: str = ""
+
+    def takes_part(self, case: Case) -> bool:
+        """Whether the case is one for it."""
+        tags = case.scene.tags
+        return (
+            self.needs <= tags and not self.not_with & tags and (self.medium is None or case.stock)
+        )
+
+    def filling(self, case: Case) -> Filling:
+        """What fills the media of the scene for this competitor."""
+        return Filling(case.law) if self.medium is None else Filling(None, self.medium)
+
+    def integrator(self, scene: Scene) -> Any:
+        """The plugin. Raises ``RuntimeError`` where it does not know a property."""
+        depths = {"max_depth": scene.max_depth, "rr_depth": scene.rr_depth + self.later}
+        return mi.load_dict({"type": self.plugin, **depths, **self.properties})
+
+
+MEDIA = frozenset({"media"})
+GLASS = frozenset({"glass"})
+CHROMATIC = frozenset({"chromatic"})
+CAMERA_INSIDE = frozenset({"camera inside"})
+GREY = {"has_spectral_extinction": False}
+
+COMPETITORS = (
+    Competitor("nonexp", "nonexp_volpath", quick=True),
+    Competitor(
+        "nonexp nee=off",
+        "nonexp_volpath",
+        {"refractive_nee": "off"},
+        needs=GLASS,
+        quick=True,
+    ),
+    Competitor("nonexp nee=on", "nonexp_volpath", {"refractive_nee": "on"}, needs=GLASS),
+    Competitor("volpath", "volpath", medium={}, quick=True),
+    Competitor(
+        "volpath tuned",
+        "volpath",
+        medium={**GREY, "sample_emitters": False},
+        needs=GLASS,
+    ),
+    Competitor("volpath tuned", "volpath", medium=GREY, needs=MEDIA, not_with=GLASS | CHROMATIC),
+    Competitor("volpathmis", "volpathmis", medium={}, needs=MEDIA),
+    # It takes no notice of the medium that a camera stands in.
+    Competitor("prbvolpath", "prbvolpath", medium={}, needs=MEDIA, not_with=CAMERA_INSIDE),
+    # Its roulette begins one bounce earlier than that of the volumetric integrators.
+    Competitor("path", "path", medium={}, not_with=MEDIA, later=1, quick=True),
+)
+"""Names are unique among those that take part in one case."""
+
+BASELINES = ("volpath", "nonexp nee=off", "nonexp")
+"""Efficiencies are given relative to the first of these that takes part."""
+
+
+def known(competitor: Competitor, scene: Scene) -> bool:
+    """The plugin exists, and knows all properties."""
+    try:
+        competitor.integrator(scene)
+    except RuntimeError as error:
+        if "unreferenced" in str(error) or "not found" in str(error):
+            return False
+        raise
+    return True
+
+
+def competing(case: Case, quick: bool = False) -> list[Competitor]:
+    """Those that take part in a case; options that the plugin does not know are left out."""
+    return [
+        competitor
+        for competitor in COMPETITORS
+        if competitor.takes_part(case)
+        and (competitor.quick or not quick)
+        and (not competitor.properties or known(competitor, case.scene))
+    ]
+
+
+def reference_competitor(case: Case) -> Competitor:
+    """Who renders the reference: Mitsuba where the law allows, else the plainest of our own."""
+    glass = "glass" in case.scene.tags
+    if case.stock:
+        tuned = GREY if "chromatic" not in case.scene.tags else {}
+        plain = {"sample_emitters": False} if glass else {}
+        return Competitor("volpath", "volpath", medium={**tuned, **plain})
+    off = Competitor("nonexp", "nonexp_volpath", {"refractive_nee": "off"})
+    return off if glass and known(off, case.scene) else Competitor("nonexp", "nonexp_volpath")
