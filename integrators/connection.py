@@ -66,25 +66,31 @@ class Hit:
 
 @dataclass
 class Link:
-    """A connection from a vertex to an emitter."""
+    """A connection from a vertex to an emitter, not yet looked along."""
 
     light: Any
-    """radiance that arrives, over the density of the connection"""
+    """radiance of the emitter over the density of the connection"""
     wo: Any
     """direction from the vertex"""
     pdf: Any
     """solid-angle density there"""
-    passing: Any
-    """probability with which a ray in that direction would get there, glass considered"""
     delta: Any
-    """no ray finds the emitter"""
+    """no ray finds the emitter (None: any does)"""
     active: Any
     """there is one"""
+    line: Line
+    """the way to the emitter, from where the glass ends if the connection bends"""
+    bends: Any = None
+    """it goes through glass (None: none does)"""
+    crossing: Crossing | None = None
+    """and where it leaves it"""
 
     def weight(self, ray_pdf: Any) -> Any:
         """Share of the connection that counts, if a ray takes its direction with this density."""
-        ray_pdf = ray_pdf if self.passing is None else ray_pdf * self.passing
-        ray_pdf = ray_pdf if self.delta is None else dr.select(self.delta, 0, ray_pdf)
+        if self.crossing:
+            ray_pdf = dr.select(self.bends, ray_pdf * self.crossing.passing, ray_pdf)
+        if self.delta is not None:
+            ray_pdf = dr.select(self.delta, 0, ray_pdf)
         return power_heuristic(self.pdf, ray_pdf)
 
 
@@ -118,35 +124,29 @@ class Connections:
         weight = dr.select(certain, 1, power_heuristic(ray_pdf, pdf))
         return Hit(ds, pdf, ray_pdf, bent, weight)
 
-    def connect(
+    def aim(
         self,
         vertex: mi.Interaction3f,
-        location: Callable[[Any], Any],
-        from_particle: Any,
         sampler: mi.Sampler,
         active: Any,
         in_glass: Any,
         hit: Hit | None,
     ) -> Link:
-        """Sample an emitter, and connect ``vertex`` to it.
+        """Sample an emitter to which ``vertex`` may be connected.
 
         ``active`` marks the vertices that connect straight, ``in_glass`` those that do through
-        glass if that is in the way; ``location(direction)`` tells the medium in which a ray leaves
-        the vertex; ``from_particle`` marks the vertices that are collisions. Where ``hit`` has come
-        out of glass, it is weighed against connections that bend.
+        glass if that is in the way. Where ``hit`` has come out of glass, it is weighed against
+        connections that bend.
         """
         wanted = active | in_glass if self.glass else active
         ds, light = self.scene.sample_emitter_direction(vertex, sampler.next_2d(), False, wanted)
         delta = ds.delta if self.needs.delta_emitters else None
-        line = self._line(ds)
-        active = active & (ds.pdf != 0)
+        line, sampled = self._line(ds), ds.pdf != 0
         if not self.glass:
-            light = self.arriving(light, vertex, line, location, from_particle, sampler, active)
-            return Link(light, ds.d, ds.pdf, None, delta, active)
+            return Link(light, ds.d, ds.pdf, delta, active & sampled, line)
 
         # One search serves both: a ray that met an emitter, and a new connection to one.
-        x, end = mi.Point3f(vertex.p), line
-        searching = in_glass & (ds.pdf != 0)
+        x, end, searching = mi.Point3f(vertex.p), line, in_glass & sampled
         bent = hit.bent if hit else None
         if hit and bent:
             x = dr.select(bent.active, bent.start, x)
@@ -156,46 +156,64 @@ class Connections:
         if hit and bent:
             hit.weight = dr.select(bent.active, self._bent_weight(hit, bent, crossing), hit.weight)
             separated &= ~bent.active
-
-        # To the surface of the glass, and on behind it as any other connection.
         bends = separated & crossing.found
         density = crossing.density(ds)
-        light = dr.select(bends, self._refracted(light, ds, crossing) / density, light)
-        arrived = self.arriving(
-            light, vertex, crossing.line, location, from_particle, sampler, bends, within=True
+        return Link(
+            light=dr.select(bends, self._refracted(light, ds, crossing) / density, light),
+            wo=dr.select(bends, crossing.line.d, ds.d),
+            pdf=dr.select(bends, ds.pdf * density, ds.pdf),
+            delta=delta,
+            active=(active & sampled & ~separated) | bends,
+            line=dr.select(bends, crossing.onward, line),
+            bends=bends,
+            crossing=crossing,
         )
-        light = dr.select(bends, arrived, light)
+
+    def arriving(
+        self,
+        link: Link,
+        vertex: mi.Interaction3f,
+        location: Callable[[Any], Any],
+        from_particle: Any,
+        sampler: mi.Sampler,
+        active: Any,
+    ) -> Any:
+        """Light that arrives at ``vertex`` along its connection, over the density of that.
+
+        ``location(direction)`` tells the medium in which a ray leaves the vertex; ``from_particle``
+        marks the vertices that are collisions.
+        """
+        active = active & link.active
+        media = None if self.media and self.media.all_sealed else self.media
+        if not link.crossing:
+            share = self._arriving(
+                media, vertex, link.line, location, from_particle, sampler, active
+            )
+            return link.light * share
+
+        # To the surface of the glass, and on behind it as any other connection.
+        bends, si, inner = link.bends, link.crossing.si, link.crossing.line
+        within = self._arriving(
+            self.media, vertex, inner, location, from_particle, sampler, active & bends
+        )
         surface = mi.Interaction3f(
             0,
             vertex.time,
             vertex.wavelengths,
-            dr.select(bends, crossing.si.p, vertex.p),
-            dr.select(bends, crossing.si.n, vertex.n),
+            dr.select(bends, si.p, vertex.p),
+            dr.select(bends, si.n, vertex.n),
         )
 
         def behind(d: Any) -> Any:
-            media, before = self.media, location(crossing.line.d)
-            outside = media.behind(crossing.si, bends, before, d) if media else before
+            assert media
+            outside = media.behind(si, bends, location(inner.d), d)
             return dr.select(bends, outside, location(d))
 
-        active = (active & ~separated) | bends
-        light = self.arriving(
-            light,
-            surface,
-            dr.select(bends, crossing.onward, line),
-            behind,
-            from_particle & ~bends,
-            sampler,
-            active,
+        active &= ~bends | dr.any(within != 0)
+        share = self._arriving(
+            media, surface, link.line, behind, from_particle & ~bends, sampler, active
         )
-        return Link(
-            light=light,
-            wo=dr.select(bends, crossing.line.d, ds.d),
-            pdf=dr.select(bends, ds.pdf * density, ds.pdf),
-            passing=dr.select(bends, crossing.passing, 1),
-            delta=delta,
-            active=active,
-        )
+        return link.light * dr.select(bends, within * share, share)
 
     def reflected(
         self, si: mi.SurfaceInteraction3f, vertex: mi.Interaction3f, bsdf: Any, active: Any
@@ -235,35 +253,23 @@ class Connections:
         infinite = mi.has_flag(ds.emitter.flags(), mi.EmitterFlags.Infinite)
         return Line(ds.p, ds.d, dr.select(infinite, dr.inf, ds.dist))
 
-    def arriving(
+    def _arriving(
         self,
-        light: Any,
+        media: Media | None,
         vertex: mi.Interaction3f,
         line: Line,
-        location: Any,
+        location: Callable[[Any], Any],
         from_particle: Any,
         sampler: mi.Sampler,
         active: Any,
-        within: bool = False,
     ) -> Any:
-        """What is left of ``light`` at ``vertex``, having come along a line: 0 if it is blocked.
-
-        ``location(direction)`` tells the medium in which a ray leaves the vertex; ``from_particle``
-        marks the vertices that are collisions; ``within``: the line stays inside a closed body,
-        where other lines have nothing to look for.
-        """
-        media = self.media
-        if media and media.all_sealed and not within:
-            media = None
+        """Share of light that arrives at ``vertex`` along a line: 0 if that is blocked."""
         ray = self.offset.segment(vertex, line.p)
-        if not self.needs.null_surfaces:
-            active = active & ~self.scene.ray_test(ray, active)
-        light = dr.select(active, light, 0)
         if self.needs.null_surfaces:
-            light *= _walk(
-                self, media, vertex, line, ray, location, from_particle, sampler, active
-            )
-        elif media:
+            share = _walk(self, media, vertex, line, ray, location, from_particle, sampler, active)
+            return dr.select(active, share, 0)
+        share = mi.Spectrum(1)
+        if media:
             start = location(line.d)
             tau = optical_depth(media.sigma_t(start, sight(vertex, line.d)), line.distance)
             survival = media.survival(start, from_particle, tau)
@@ -273,8 +279,8 @@ class Connections:
                 survival *= tracking.transmittance(
                     media, start, onward, line.distance, sampler, tracked
                 )
-            light = dr.select(media.inside(start), light * survival, light)
-        return light
+            share = dr.select(media.inside(start), survival, share)
+        return dr.select(active & ~self.scene.ray_test(ray, active), share, 0)
 
 
 def power_heuristic(a: Any, b: Any) -> Any:

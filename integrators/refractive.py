@@ -362,7 +362,6 @@ class Surfaces(Refraction):
         si = self._scene.ray_intersect(ray, mi.RayFlags.All, False, active)
         return si, self._alone.bsdf() if self._alone else si.bsdf()
 
-
     def _lobe(self, si: Any) -> Any:
         """Which of the surfaces an interaction is on; their number if none."""
         number = _number(si.shape)

@@ -5,11 +5,12 @@ The integrator's kernel holds only the parts that these answers ask for.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import mitsuba as mi
+
+from nonexp import scenewalk
 
 from .closed import encloses
 from .lobes import lobes
@@ -49,11 +50,9 @@ class SceneNeeds:
         ``refractive`` says whether connections bend: ``auto`` (where that helps), ``on`` (wherever
         they can) or ``off``.
         """
-        media: list[Any] = []
-        shapes = _shapes(scene)
-        for medium in (start, *_media(shapes), *_endpoint_media(scene)):
-            if medium is not None and medium not in media:
-                media.append(medium)
+        shapes, media = scenewalk.shapes(scene), scenewalk.media(scene)
+        if start is not None and start not in media:
+            media.insert(0, start)
         emitter_flags = [emitter.flags() for emitter in scene.emitters()]
         delta, infinite = mi.EmitterFlags.Delta, mi.EmitterFlags.Infinite
         return SceneNeeds(
@@ -77,25 +76,6 @@ class SceneNeeds:
         )
 
 
-def _shapes(scene: mi.Scene) -> list[Any]:
-    """All shapes, also those that are only there as instances."""
-    shapes = scene.shapes()
-    if any(shape.class_name() == "Instance" for shape in shapes):
-        return [node for node in mi.traverse(scene).hierarchy if isinstance(node, mi.Shape)]
-    return shapes
-
-
-def _media(shapes: list[Any]) -> Iterator[Any]:
-    for shape in shapes:
-        yield shape.interior_medium()
-        yield shape.exterior_medium()
-
-
-def _endpoint_media(scene: mi.Scene) -> Iterator[Any]:
-    for endpoint in (*scene.sensors(), *scene.emitters()):
-        yield endpoint.get_medium()
-
-
 def _scatters(shape: mi.Shape, flag: mi.BSDFFlags) -> bool:
     bsdf = shape.bsdf()
     return bsdf is not None and bool(mi.has_flag(bsdf.flags(), flag))
@@ -107,7 +87,7 @@ def _sealed(scene: mi.Scene, shapes: list[Any], medium: Any) -> bool:
     A cautious answer: no for shapes that are not surely closed, and where boxes cannot tell an
     emitter from the inside of a shape.
     """
-    if any(medium == endpoint for endpoint in _endpoint_media(scene)):
+    if any(medium == end.get_medium() for end in (*scene.sensors(), *scene.emitters())):
         return False
     shells, inner = [], []
     for shape in shapes:

@@ -246,11 +246,7 @@ class NonexpVolpath(mi.SamplingIntegrator):
                     if media and media.samples:
                         in_glass |= collided & media.collision_samples(s.location)
                     in_glass &= s.depth + 2 < self.max_depth
-                if media and needs.smooth_boundaries:
-                    leaving = partial(media.behind, si, on_surface, s.location)
-                else:
-                    leaving = partial(_stay, s.location)
-                link = nee.connect(vertex, leaving, collided, sampler, connecting, in_glass, hit)
+                link = nee.aim(vertex, sampler, connecting, in_glass, hit)
                 wo = link.wo
 
             if needs.hittable_emitters:
@@ -278,7 +274,13 @@ class NonexpVolpath(mi.SamplingIntegrator):
                 pdf = dr.select(collided, scatter.wo_pdf, pdf)
                 certain = dr.select(collided, ~media.collision_connects(s.location), certain)
             if connections:
-                contribution = carried * value * link.light * link.weight(value_pdf)
+                if media and needs.smooth_boundaries:
+                    leaving = partial(media.behind, si, on_surface, s.location)
+                else:
+                    leaving = partial(_stay, s.location)
+                useful = dr.any(value != 0)
+                light = nee.arriving(link, vertex, leaving, collided, sampler, useful)
+                contribution = carried * value * light * link.weight(value_pdf)
                 s.radiance = dr.select(link.active, s.radiance + contribution, s.radiance)
 
             # --------------------------------------------------- the next ray
@@ -290,7 +292,7 @@ class NonexpVolpath(mi.SamplingIntegrator):
             scattered = s.active & ~passed
             s.far = mi.Float(dr.largest(mi.Float))
             s.depth = dr.select(scattered, s.depth + 1, s.depth)
-            if bent_hits:
+            if glass and bent_hits:
                 # What the camera sees reflected in glass is not left to chance.
                 s.seen = on_surface & first & ~last & glass.meets(si)
                 if media:
@@ -366,7 +368,9 @@ class NonexpVolpath(mi.SamplingIntegrator):
 def _choice(props: mi.Properties, name: str, allowed: tuple[str, ...]) -> str:
     value = props.get(name, allowed[0])
     if value not in allowed:
-        raise ValueError(f"{name} is {value!r}: it must be {', '.join(allowed[:-1])} or {allowed[-1]}")
+        raise ValueError(
+            f"{name} is {value!r}: it must be {', '.join(allowed[:-1])} or {allowed[-1]}"
+        )
     return str(value)
 
 
