@@ -11,6 +11,7 @@ import mitsuba as mi
 
 from . import tracking
 from .media import Media
+from .null_ball import NullBall
 from .offset import Offset
 from .refractive import Crossing, Line, Refraction
 from .scene_needs import SceneNeeds
@@ -103,6 +104,7 @@ class Connections:
     media: Media | None
     offset: Offset
     glass: Refraction | None
+    ball: NullBall | None
 
     def hit(
         self,
@@ -265,13 +267,15 @@ class Connections:
     ) -> Any:
         """Share of light that arrives at ``vertex`` along a line: 0 if that is blocked."""
         ray = self.offset.segment(vertex, line.p)
-        if self.needs.null_surfaces:
+        if self.needs.null_surfaces and not self.ball:
             share = _walk(self, media, vertex, line, ray, location, from_particle, sampler, active)
             return dr.select(active, share, 0)
         share = mi.Spectrum(1)
         if media:
-            start = location(line.d)
-            tau = optical_depth(media.sigma_t(start, sight(vertex, line.d)), line.distance)
+            start, distance = location(line.d), line.distance
+            if self.ball:
+                distance = self.ball.length(vertex.p, line.d, distance, media.inside(start))
+            tau = optical_depth(media.sigma_t(start, sight(vertex, line.d)), distance)
             survival = media.survival(start, from_particle, tau)
             if media.tracks:
                 tracked = active & media.tracked(start)
@@ -279,8 +283,9 @@ class Connections:
                 survival *= tracking.transmittance(
                     media, start, onward, line.distance, sampler, tracked
                 )
-            share = dr.select(media.inside(start), survival, share)
-        return dr.select(active & ~self.scene.ray_test(ray, active), share, 0)
+            share = survival if self.ball else dr.select(media.inside(start), survival, share)
+        blocked = (self.ball or self.scene).ray_test(ray, active)
+        return dr.select(active & ~blocked, share, 0)
 
 
 def power_heuristic(a: Any, b: Any) -> Any:

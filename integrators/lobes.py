@@ -7,6 +7,7 @@ from typing import Any
 import mitsuba as mi
 
 from .closed import encloses
+from .entries import entry_of
 
 _SMOOTH = ("Sphere", "Cylinder", "Disk", "Rectangle")
 
@@ -40,8 +41,10 @@ def _finds_light(scene: mi.Scene) -> bool:
 def _holds_something(lobe: Any, shapes: list[Any]) -> bool:
     """Connections may begin behind the surface: in a medium, or on something within."""
     medium = lobe.interior_medium()
-    if medium is not None and medium.use_emitter_sampling():
-        return True
+    if medium is not None:
+        entry = entry_of(medium, sealed=True)
+        if entry is not None and entry.samples:
+            return True
     return encloses(lobe) and any(
         shape.bsdf() is not None
         and mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Smooth)

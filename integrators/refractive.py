@@ -20,6 +20,7 @@ import mitsuba as mi
 import numpy as np
 
 from .scene_needs import SceneNeeds
+from .subscene import available, subscene
 
 STEPS = 16
 """Most points that a search looks at."""
@@ -120,10 +121,10 @@ class _Search:
 
 def refraction(needs: SceneNeeds) -> Refraction | None:
     """The scene's smooth dielectric surfaces through which connections bend; None if none does."""
-    if not needs.lobes:
-        return None
-    ball = len(needs.lobes) == 1 and needs.lobes[0].shape_type() == mi.ShapeType.Sphere
-    return Ball(needs.lobes[0]) if ball else Surfaces(needs.lobes)
+    lobes = needs.lobes
+    if len(lobes) == 1 and lobes[0].shape_type() == mi.ShapeType.Sphere:
+        return Ball(lobes[0])
+    return Surfaces(lobes) if lobes and available() else None
 
 
 class Refraction(ABC):
@@ -313,7 +314,7 @@ class Surfaces(Refraction):
 
     def __init__(self, shapes: tuple[Any, ...]) -> None:
         self._shapes = shapes
-        self._scene = _scene_of(shapes)
+        self._scene = subscene(shapes)
         self._alone = shapes[0] if len(shapes) == 1 else None
         self._meshes = any(shape.is_mesh() for shape in shapes)
         self._others = any(not shape.is_mesh() for shape in shapes)
@@ -398,13 +399,6 @@ def _barycentric(corners: list[Any], p: Any) -> tuple[Any, Any]:
     ac, bc = dr.dot(a, c), dr.dot(b, c)
     det = dr.rcp(dr.fma(aa, bb, -ab * ab))
     return (bb * ac - ab * bc) * det, (aa * bc - ab * ac) * det
-
-
-def _scene_of(shapes: tuple[Any, ...]) -> Any:
-    properties = mi.Properties("scene")
-    for number, shape in enumerate(shapes):
-        properties[f"shape_{number}"] = shape
-    return mi.PluginManager.instance().create_object(properties)
 
 
 def _eta(shape: Any) -> Any:

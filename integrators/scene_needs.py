@@ -38,9 +38,11 @@ class SceneNeeds:
     """Some emitter is a point or a direction: only connections find it."""
     infinite_emitters: bool
     """Light arrives from infinity (environment, directional)."""
-    near_emitters: bool
+    near_emitters: bool = False
     """Some emitter is a point, so that its light depends on where it is seen from."""
-    lobes: tuple[Any, ...]
+    null_ball: Any = None
+    """The sphere that is the only null surface, and the only boundary of the only medium."""
+    lobes: tuple[Any, ...] = ()
     """Smooth dielectric shapes through which connections from inside bend."""
 
     @staticmethod
@@ -72,8 +74,22 @@ class SceneNeeds:
                 mi.has_flag(flags, delta) and not mi.has_flag(flags, infinite)
                 for flags in emitter_flags
             ),
+            null_ball=_null_ball(shapes, media),
             lobes=lobes(scene, shapes, refractive) if emitter_flags else (),
         )
+
+
+def _null_ball(shapes: list[Any], media: list[Any]) -> Any:
+    """The only shape that lets anything straight through, if it is a plain sphere of the medium."""
+    null = [shape for shape in shapes if _scatters(shape, mi.BSDFFlags.Null)]
+    bounds = [shape for shape in shapes if shape.is_medium_transition()]
+    if len(null) != 1 or bounds != null or len(media) != 1:
+        return None
+    ball = null[0]
+    plain = ball.shape_type() == mi.ShapeType.Sphere and not ball.has_flipped_normals()
+    plain = plain and ball.bsdf().class_name() == "Null" and not ball.is_emitter()
+    inside = ball.interior_medium() == media[0] and ball.exterior_medium() is None
+    return ball if plain and inside else None
 
 
 def _scatters(shape: mi.Shape, flag: mi.BSDFFlags) -> bool:

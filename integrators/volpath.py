@@ -15,6 +15,7 @@ import mitsuba as mi
 from . import tracking
 from .connection import BentRay, Connections, optical_depth, sight
 from .media import scene_media
+from .null_ball import NullBall
 from .offset import Offset
 from .refractive import refraction
 from .scene_needs import SceneNeeds
@@ -124,9 +125,11 @@ class NonexpVolpath(mi.SamplingIntegrator):
         hero = draw_channel(sampler.next_1d()) if chromatic else None
         collisions_connect = bool(media and media.connects)
         glass = refraction(needs)
+        tracks = bool(media and media.tracks)
         bent_hits = bool(glass and needs.hittable_emitters)
         connections = needs.emitters and bool(needs.smooth_surfaces or collisions_connect or glass)
-        nee = Connections(scene, needs, media, offset, glass)
+        ball = NullBall.of(scene, needs) if null and connections and not tracks else None
+        nee = Connections(scene, needs, media, offset, glass, ball)
         path = _Path(
             active=mi.Bool(active) & (self.max_depth > 0),
             depth=mi.UInt32(0),

@@ -1,0 +1,56 @@
+"""Shadow rays past a single index-matched sphere, without walking through it.
+
+Where a sphere is the only surface that lets rays straight through, it is known where a ray enters
+and leaves its medium, and whether anything else is in the way is one occlusion test.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from .scene_needs import SceneNeeds
+from .subscene import available, subscene
+
+MOST_FACES = 1 << 14
+"""Scenes with more than this are not held in memory twice."""
+
+
+class NullBall:
+    """The sphere, and all other shapes."""
+
+    def __init__(self, ball: Any, others: tuple[Any, ...]) -> None:
+        box = ball.bbox()
+        self._centre = mi.Point3f(box.center())
+        self._radius = mi.Float(0.5 * float(dr.max(box.extents())))
+        if not dr.flag(dr.JitFlag.FreezingScope):
+            dr.make_opaque(self._centre, self._radius)
+        self._others = subscene(others) if others else None
+
+    @staticmethod
+    def of(scene: mi.Scene, needs: SceneNeeds) -> NullBall | None:
+        """The sphere of a scene that has just one, and no other null surface or medium."""
+        ball = needs.null_ball
+        if ball is None:
+            return None
+        others = tuple(shape for shape in scene.shapes() if shape != ball)
+        if any(shape.class_name() == "Instance" for shape in others) or not available():
+            return None
+        faces = sum(shape.face_count() if shape.is_mesh() else 1 for shape in others)
+        return NullBall(ball, others) if faces <= MOST_FACES else None
+
+    def ray_test(self, ray: Any, active: Any) -> Any:
+        """Whether anything but the sphere is on a shadow ray."""
+        return self._others.ray_test(ray, active) if self._others else mi.Bool(False)
+
+    def length(self, p: Any, d: Any, distance: Any, inside: Any) -> Any:
+        """Length inside the sphere of a line from ``p``, itself ``inside`` or not."""
+        # The distance of the line from the centre, by a difference that does not cancel.
+        o = p - self._centre
+        along = -dr.dot(o, d)
+        off = dr.fma(self._radius, self._radius, -dr.squared_norm(dr.fma(along, d, o)))
+        half = dr.sqrt(dr.maximum(off, 0))
+        near = dr.select(inside, 0, dr.maximum(along - half, 0))
+        return dr.maximum(dr.minimum(along + half, distance) - near, 0)

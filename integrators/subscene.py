@@ -1,0 +1,45 @@
+"""Scenes of some of a scene's shapes, so that rays meet nothing else."""
+
+from __future__ import annotations
+
+import atexit
+from collections import OrderedDict
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+_KEPT = 8
+_known: OrderedDict[tuple[Any, ...], tuple[Any, Any]] = OrderedDict()
+atexit.register(_known.clear)
+
+
+def available() -> bool:
+    """While a function is being frozen, only the scenes that it was given can be used."""
+    return not dr.flag(dr.JitFlag.FreezingScope)
+
+
+def subscene(shapes: tuple[Any, ...]) -> mi.Scene:
+    """A scene of these shapes alone; built once for each state of their geometry."""
+    states = [_state(shape) for shape in shapes]
+    key = tuple((id(shape), *state[1:]) for shape, state in zip(shapes, states, strict=True))
+    if key not in _known:
+        properties = mi.Properties("scene")
+        for number, shape in enumerate(shapes):
+            properties[f"shape_{number}"] = shape
+        scene = mi.PluginManager.instance().create_object(properties)
+        # Holding shapes and arrays keeps their numbers from being given to others.
+        _known[key] = scene, (shapes, states)
+        if len(_known) > _KEPT:
+            _known.popitem(last=False)
+    _known.move_to_end(key)
+    return _known[key][0]
+
+
+def _state(shape: Any) -> tuple[Any, ...]:
+    """What changes with a shape's geometry, behind the arrays that this refers to."""
+    if shape.is_mesh():
+        positions, faces = shape.vertex_positions_buffer(), shape.faces_buffer()
+        return (positions, faces), positions.index, faces.index
+    matrix = mi.traverse(shape)["to_world"].matrix
+    return (matrix, *(entry.index for row in matrix for entry in row))
