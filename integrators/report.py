@@ -29,7 +29,8 @@ def findings(scene: mi.Scene) -> list[Finding]:
     """All that shapes the kernel of ``nonexp_volpath`` on this scene, from its first sensor."""
     sensors = scene.sensors()
     start = sensors[0].get_medium() if sensors else None
-    needs = SceneNeeds.of(scene, start)
+    wanted = getattr(scene.integrator(), "refractive_nee", "auto")
+    needs = SceneNeeds.of(scene, start, wanted)
     media = scene_media(needs)
     emitters = Counter(emitter.class_name() for emitter in scene.emitters())
     return [
@@ -41,6 +42,7 @@ def findings(scene: mi.Scene) -> list[Finding]:
             _emitters(needs),
         ),
         _connections(needs, media),
+        _glass(scene, needs, wanted),
     ]
 
 
@@ -86,7 +88,7 @@ def _describe(entry: Entry) -> str:
 
 def _medium_effect(entry: Entry) -> str:
     if entry.sealed:
-        return "closed, no emitter within: no connections from inside"
+        return "closed, no emitter within: no straight connections from inside"
     if not entry.connects:
         return "sample_emitters is off: no connections from collisions"
     return "collisions connect to emitters"
@@ -126,3 +128,16 @@ def _connections(needs: SceneNeeds, media: Media | None) -> Finding:
         f"from {' and '.join(ends)}",
         "skipped: media on shadow rays" if media and media.all_sealed else "shadow rays",
     )
+
+
+def _glass(scene: mi.Scene, needs: SceneNeeds, wanted: str) -> Finding:
+    question = "connections through smooth glass"
+    if needs.lobes:
+        names = ", ".join(shape.id() or shape.class_name() for shape in needs.lobes)
+        return Finding(question, f"out of {names}", "a search for the way, media on it")
+    skipped = "skipped: the search for a way through the surface"
+    if wanted == "off":
+        return Finding(question, "refractive_nee is off", skipped)
+    if SceneNeeds.of(scene, refractive="on").lobes:
+        return Finding(question, "nothing would gain by them", skipped)
+    return Finding(question, "no such surface", skipped)

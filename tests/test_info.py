@@ -23,9 +23,10 @@ def test_dragon(capsys: pytest.CaptureFixture[str]) -> None:
     found = table(capsys, DRAGON, "-D", "medium=gamma")
     assert found["media"][0] == "1"
     assert found["medium 1"][0].startswith("medium: gamma[alpha=0.5], sigma_t 1.2")
-    assert found["medium 1"][1] == "closed, no emitter within: no connections from inside"
+    assert found["medium 1"][1] == "closed, no emitter within: no straight connections from inside"
     assert found["surfaces that let rays straight through"][0] == "none"
     assert found["connections to emitters"] == ("from surfaces", "skipped: media on shadow rays")
+    assert found["connections through smooth glass"][0] == "out of lobe"
 
 
 def test_vacuum(capsys: pytest.CaptureFixture[str]) -> None:
@@ -33,6 +34,7 @@ def test_vacuum(capsys: pytest.CaptureFixture[str]) -> None:
         found = table(capsys, DRAGON, "-D", parameter)
         answer = "none (and 1 in which nothing collides)"
         assert found["media"] == (answer, "skipped: flights, phase functions, albedo")
+        assert found["connections through smooth glass"][0] == "out of lobe"  # the dragon is inside
 
 
 def test_colour_and_null_surfaces(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,17 +1,24 @@
-"""Render the pictures of the README into docs/images (10 minutes on 2 cores; needs the extra plot).
+"""Render the pictures of the README and of docs/refractive.md into docs/images.
+
+Takes 12 minutes on 2 cores, and needs the extra plot. Names choose among the pictures:
+laws, series, refractive.
 
 .venv/bin/pip install -e '.[plot]' && .venv/bin/python tools/figures.py
 """
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import mitsuba as mi
+import numpy as np
+from matplotlib.colors import LogNorm
 
 import nonexp
 from nonexp import output
@@ -43,21 +50,51 @@ FIGURES = {
 }
 
 
+def laws(scene: str, spp: int, media: dict[str, str]) -> Any:
+    figure, axes = plt.subplots(1, len(media), figsize=(4 * len(media), 3.35), layout="constrained")
+    for axis, (medium, title) in zip(axes, media.items(), strict=True):
+        built = mi.load_file(str(ROOT / "scenes" / f"{scene}.xml"), medium=medium, **SIZE)
+        image = nonexp.render(built, spp=spp)
+        print(f"{scene}.xml, {medium}: {image.spp} spp in {image.seconds:.0f} s", flush=True)
+        axis.imshow(output.tone_map(image.mean))
+        axis.set_title(title)
+        axis.axis("off")
+    return figure
+
+
+def refractive(seconds: float = 60) -> Any:
+    """The dragon at equal time, without and with connections through glass, and their noise."""
+    figure, axes = plt.subplots(2, 2, figsize=(8, 6.6), layout="constrained")
+    scene = mi.load_file(str(ROOT / "scenes" / "dragon.xml"), **SIZE)
+    for column, how in zip(axes.T, ("off", "auto"), strict=True):
+        integrator = {"type": "nonexp_volpath", "max_depth": 64, "refractive_nee": how}
+        built = mi.load_dict(
+            {
+                "type": "scene",
+                "integrator": integrator,
+                "sensor": scene.sensors()[0],
+                **{f"shape_{i}": shape for i, shape in enumerate(scene.shapes())},
+            }
+        )
+        nonexp.render(built, spp=1)  # compiles
+        image = nonexp.render(built, time=seconds)
+        print(f"refractive_nee={how}: {image.spp} spp in {image.seconds:.0f} s", flush=True)
+        noise = np.mean(image.stderr, axis=2) / np.mean(image.mean)
+        column[0].imshow(output.tone_map(image.mean))
+        column[0].set_title(f"refractive_nee = {how}: {image.spp} samples per pixel")
+        shown = column[1].imshow(noise, norm=LogNorm(0.003, 0.3), cmap="magma")
+    figure.colorbar(shown, ax=axes[1], label="standard error / mean of the image")
+    for axis in axes.flat:
+        axis.axis("off")
+    return figure
+
+
 def main() -> None:
     mi.set_variant("llvm_ad_rgb")
     folder = ROOT / "docs" / "images"
     folder.mkdir(parents=True, exist_ok=True)
-    for name, (scene, spp, media) in FIGURES.items():
-        figure, axes = plt.subplots(
-            1, len(media), figsize=(4 * len(media), 3.35), layout="constrained"
-        )
-        for axis, (medium, title) in zip(axes, media.items(), strict=True):
-            built = mi.load_file(str(ROOT / "scenes" / f"{scene}.xml"), medium=medium, **SIZE)
-            image = nonexp.render(built, spp=spp)
-            print(f"{scene}.xml, {medium}: {image.spp} spp in {image.seconds:.0f} s", flush=True)
-            axis.imshow(output.tone_map(image.mean))
-            axis.set_title(title)
-            axis.axis("off")
+    for name in sys.argv[1:] or [*FIGURES, "refractive"]:
+        figure = refractive() if name == "refractive" else laws(*FIGURES[name])
         figure.savefig(folder / f"{name}.png", dpi=100)
 
 
