@@ -37,9 +37,9 @@ of each model and on extreme parameters ({cases} cases, `tests/stability/stabili
 {count} optical depths log-spaced from 1e-8 to 1e8, {half} around the mean flight, and the float32
 numbers up to 4 steps around every kink (of many kinks, around 12). The exact values are those of
 textbook formulas in 60-digit arithmetic (`tests/stability/stability_reference.py`), which take the
-same float32 parameters and depths, so that rounding of these does not count. Transmittances below
-1e-30, and densities (fp, pp) below 1e-30 per mean flight, are left out. `tabulated` and `custom`
-are measured against the curve that they make of their data, not against the data.
+same float32 parameters and depths, so that rounding of these does not count. Values below 1e-30 are
+left out. `tabulated` and `custom` are measured against the curve that they make of their data, not
+against the data.
 """
 
 

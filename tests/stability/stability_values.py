@@ -25,8 +25,7 @@ MOST_KINKS = 12
 class Comparison:
     """One kernel of one model at ``tau``.
 
-    ``error`` is relative, in units of 1 + |ln exact|, and 0 where a transmittance, or a density per
-    mean flight, is below 1e-30.
+    ``error`` is relative, in units of 1 + |ln exact|, and 0 where the exact value is below 1e-30.
     """
 
     tau: Any
@@ -92,7 +91,6 @@ def compare(position: int, kernel: str, count: int, kind: Any = Float) -> Compar
                 before = float(function(exact(t) * (1 - mp.mpf(10) ** -30)))
                 if abs(got[i] - before) < abs(got[i] - values[i]):
                     values[i] = before
-    tall = 1e-30 * (max(1.0, float(law.sigma_bar)) if kernel in ("fp", "pp") else 1.0)
     with np.errstate(all="ignore"):
         error = np.abs(got - values) / (values * (1 + np.abs(np.log(values))))
-    return Comparison(tau, got, values, np.where(values > tall, error, 0))
+    return Comparison(tau, got, values, np.where(values > 1e-30, error, 0))
