@@ -10,6 +10,7 @@ import drjit as dr
 import mitsuba as mi
 
 from . import tracking
+from .interaction import medium_interaction
 from .media import Media
 from .null_ball import NullBall
 from .offset import Offset
@@ -215,7 +216,7 @@ class Connections:
         share = self._arriving(
             media, surface, link.line, behind, from_particle & ~bends, sampler, active
         )
-        return link.light * dr.select(bends, within * share, share)
+        return mi.Spectrum(link.light * dr.select(bends, within * share, share))
 
     def reflected(
         self, si: mi.SurfaceInteraction3f, vertex: mi.Interaction3f, bsdf: Any, active: Any
@@ -226,7 +227,7 @@ class Connections:
         d = si.to_world(bs.wo)
         ray = mi.Ray3f(self.offset.onward(vertex, d), d, vertex.time, vertex.wavelengths)
         met = self.scene.ray_intersect(ray, active)
-        return weight * bs.pdf * met.emitter(self.scene).eval(met, active)
+        return mi.Spectrum(weight * bs.pdf * met.emitter(self.scene).eval(met, active))
 
     def _refracted(self, light: Any, ds: mi.DirectionSample3f, crossing: Crossing) -> Any:
         """A sampled emitter's radiance over pdf, seen from behind the surface of glass."""
@@ -275,7 +276,7 @@ class Connections:
             start, distance = location(line.d), line.distance
             if self.ball:
                 distance = self.ball.length(vertex.p, line.d, distance, media.inside(start))
-            tau = optical_depth(media.sigma_t(start, sight(vertex, line.d)), distance)
+            tau = optical_depth(media.sigma_t(start, medium_interaction(line.d, vertex)), distance)
             survival = media.survival(start, from_particle, tau)
             if media.tracks:
                 tracked = active & media.tracked(start)
@@ -292,14 +293,6 @@ def power_heuristic(a: Any, b: Any) -> Any:
     """Weight of a sample of density ``a`` that another technique finds with density ``b``."""
     weight = dr.square(a) / (dr.square(a) + dr.square(b))
     return dr.select(dr.isfinite(weight), weight, 0)
-
-
-def sight(vertex: Any, direction: Any) -> mi.MediumInteraction3f:
-    """What a medium may ask about a ray that leaves ``vertex``: its direction and wavelengths."""
-    mei = dr.zeros(mi.MediumInteraction3f)
-    mei.wi, mei.time, mei.wavelengths = -direction, vertex.time, vertex.wavelengths
-    mei.sh_frame = mi.Frame3f(mei.wi)
-    return mei
 
 
 def optical_depth(sigma_t: Any, distance: Any) -> Any:
@@ -342,7 +335,7 @@ def _walk(
             # Rounding may put a surface before the one left behind.
             length = dr.maximum(dr.select(hit, dr.dot(si.p - s.start, d), remaining(s)), 0)
             inside = s.active & media.inside(s.location)
-            tau = optical_depth(media.sigma_t(s.location, sight(vertex, d)), length)
+            tau = optical_depth(media.sigma_t(s.location, medium_interaction(d, vertex)), length)
             s.tau = type(s.tau)(dr.select(inside, s.tau + tau, s.tau))
             if media.tracks:
                 tracked = inside & media.tracked(s.location)

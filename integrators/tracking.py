@@ -7,6 +7,7 @@ flights have no memory.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +16,7 @@ import mitsuba as mi
 
 from nonexp.numerics import log1p
 
+from .interaction import medium_interaction
 from .media import Media
 from .spectral import at_channel, balanced
 
@@ -42,10 +44,7 @@ def next_collision(
     mean; ``hero`` is the channel that draws it.
     """
 
-    def step(sampler: Any, s: _Track) -> tuple[Any, _Track]:
-        s.t = s.t - log1p(-sampler.next_1d(s.stepping)) / majorant
-        s.stepping &= s.t < far
-        sigma_n, sigma_t = media.coefficients(location, _at(ray, s.t), s.stepping)
+    def meet(sampler: Any, s: _Track, sigma_n: Any, sigma_t: Any, majorant: Any) -> None:
         own = at_channel(sigma_t, hero) if media.chromatic else sigma_t[0]
         real = s.stepping & (sampler.next_1d(s.stepping) * majorant < own)
         if media.chromatic:
@@ -53,14 +52,8 @@ def next_collision(
             s.weight = mi.UnpolarizedSpectrum(dr.select(s.stepping, balance, s.weight))
         s.collided |= real
         s.stepping &= ~real
-        return sampler, s
 
-    near, far, majorant = media.bounds(location, ray)
-    far = dr.minimum(far, end)
-    state = _Track(near, active & (near < far), mi.Bool(False), mi.UnpolarizedSpectrum(1))
-    _, found = dr.while_loop(
-        (sampler, state), lambda sampler, s: s.stepping, step, label="nonexp: delta tracking"
-    )
+    found = _track(media, location, ray, end, sampler, active, meet, "nonexp: delta tracking")
     return dr.select(found.collided, found.t, dr.inf), found.weight
 
 
@@ -69,27 +62,39 @@ def transmittance(
 ) -> Any:
     """Unbiased estimate of the transmittance along ``ray`` up to ``end``, a spectrum."""
 
-    def step(sampler: Any, s: _Track) -> tuple[Any, _Track]:
-        s.t = s.t - log1p(-sampler.next_1d(s.stepping)) / majorant
-        s.stepping &= s.t < far
-        sigma_n, _ = media.coefficients(location, _at(ray, s.t), s.stepping)
+    def meet(sampler: Any, s: _Track, sigma_n: Any, sigma_t: Any, majorant: Any) -> None:
         weight = s.weight * (sigma_n / majorant)
         s.weight = mi.UnpolarizedSpectrum(dr.select(s.stepping, weight, s.weight))
         s.stepping &= dr.any(s.weight != 0)
+
+    track = _track(media, location, ray, end, sampler, active, meet, "nonexp: ratio tracking")
+    return track.weight
+
+
+def _track(
+    media: Media,
+    location: Any,
+    ray: Any,
+    end: Any,
+    sampler: Any,
+    active: Any,
+    meet: Callable[[Any, _Track, Any, Any, Any], None],
+    label: str,
+) -> _Track:
+    """Step along ``ray`` up to ``end``, from one tentative collision to the next.
+
+    ``meet(sampler, state, sigma_n, sigma_t, majorant)`` says what happens there.
+    """
+
+    def step(sampler: Any, s: _Track) -> tuple[Any, _Track]:
+        s.t = s.t - log1p(-sampler.next_1d(s.stepping)) / majorant
+        s.stepping &= s.t < far
+        mei = medium_interaction(ray.d, ray, ray(s.t), s.t)
+        meet(sampler, s, *media.coefficients(location, mei, s.stepping), majorant)
         return sampler, s
 
     near, far, majorant = media.bounds(location, ray)
     far = dr.minimum(far, end)
     state = _Track(near, active & (near < far), mi.Bool(False), mi.UnpolarizedSpectrum(1))
-    _, found = dr.while_loop(
-        (sampler, state), lambda sampler, s: s.stepping, step, label="nonexp: ratio tracking"
-    )
-    return found.weight
-
-
-def _at(ray: Any, t: Any) -> Any:
-    mei = dr.zeros(mi.MediumInteraction3f)
-    mei.p, mei.wi, mei.t = ray(t), -ray.d, t
-    mei.time, mei.wavelengths = ray.time, ray.wavelengths
-    mei.sh_frame = mi.Frame3f(mei.wi)
-    return mei
+    _, found = dr.while_loop((sampler, state), lambda sampler, s: s.stepping, step, label=label)
+    return found

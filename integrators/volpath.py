@@ -13,7 +13,8 @@ import drjit as dr
 import mitsuba as mi
 
 from . import tracking
-from .connection import BentRay, Connections, optical_depth, sight
+from .connection import BentRay, Connections, optical_depth
+from .interaction import medium_interaction
 from .media import scene_media
 from .null_ball import NullBall
 from .offset import Offset
@@ -164,7 +165,7 @@ class NonexpVolpath(mi.SamplingIntegrator):
             ray = mi.Ray3f(s.o, s.d, s.far, time, wavelengths)
             if media:
                 inside = s.active & media.inside(s.location)
-                extinction = media.sigma_t(s.location, sight(ray, s.d))
+                extinction = media.sigma_t(s.location, medium_interaction(s.d, ray))
                 sigma_t = at_channel(extinction, hero) if chromatic else extinction
                 tau = media.flight(s.location, s.from_particle, sampler, inside)
                 if null:
@@ -266,9 +267,7 @@ class NonexpVolpath(mi.SamplingIntegrator):
             passed = on_surface & mi.has_flag(bs.sampled_type, mi.BSDFFlags.Null)
             certain = mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta)
             if media:
-                mei = dr.zeros(mi.MediumInteraction3f)
-                mei.p, mei.wi, mei.time, mei.wavelengths = p, -s.d, time, wavelengths
-                mei.sh_frame = mi.Frame3f(mei.wi)
+                mei = medium_interaction(s.d, ray, p)
                 scatter = media.scatter(s.location, mei, wo, u1, u2, collided & ~last)
                 value = dr.select(collided, scatter.albedo * scatter.value, value)
                 value_pdf = dr.select(collided, scatter.pdf, value_pdf)
