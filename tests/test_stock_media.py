@@ -70,7 +70,7 @@ def parts(inside: Any, boundary: str = "null") -> dict[str, Any]:
 )
 def test_grey_media_against_volpath(inside: Any, boundary: str) -> None:
     right = passes(scene("volpath", **parts(inside, boundary)), 2**11, 1, 3)
-    # Mitsuba's sggx does not sample what it evaluates: the mean sampled direction is another. Inside
+    # Mitsuba's sggx does not sample what it evaluates: their mean directions differ. Inside
     # glass volpath only samples, and so must ours for the same image.
     ours = {"type": "nonexp_volpath", "refractive_nee": "off"}
     integrator = ours if "sggx" in str(inside) else "nonexp_volpath"
