@@ -234,6 +234,7 @@ class Connections:
         if self.needs.near_emitters:
             # The light of a point depends on where it is seen from.
             seen = mi.DirectionSample3f(ds)
+            seen.emitter = ds.emitter  # the copy has only what a position sample has
             seen.d, seen.dist = crossing.onward.d, dr.norm(ds.p - crossing.si.p)
             near = crossing.found & ds.delta
             value = self.scene.eval_emitter_direction(crossing.si, seen, near)

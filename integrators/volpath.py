@@ -250,6 +250,8 @@ class NonexpVolpath(mi.SamplingIntegrator):
                     if media and media.samples:
                         in_glass |= collided & media.collision_samples(s.location)
                     in_glass &= s.depth + 2 < self.max_depth
+                    if bent_hits:
+                        in_glass &= ~(lit & s.crossed)  # the search is for another connection
                 link = nee.aim(vertex, sampler, connecting, in_glass, hit)
                 wo = link.wo
 
