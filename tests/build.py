@@ -170,6 +170,14 @@ def recorder(*measures: Callable[[Any], Any]) -> Any:
 SHUTTER = {"shutter_open": 0.0, "shutter_close": 1.0}
 """Of a sensor: rays start at any time in [0, 1]."""
 
+LAMP = {
+    "type": "sphere",
+    "center": [0, 3, 0],
+    "radius": 0.5,
+    "emitter": {"type": "area", "radiance": 4.0},
+}
+"""A ball of light above the origin."""
+
 FURNACE = {"type": "constant"}
 """Constant environment of radiance 1."""
 

@@ -12,7 +12,18 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
-from build import FURNACE, NO_ROULETTE, ball, beam, medium, orthographic, perspective, scene, stock
+from build import (
+    FURNACE,
+    LAMP,
+    NO_ROULETTE,
+    ball,
+    beam,
+    medium,
+    orthographic,
+    perspective,
+    scene,
+    stock,
+)
 from measure import assert_mean, assert_same, passes, radiance
 from scipy import integrate
 
@@ -20,12 +31,6 @@ from nonexp import models
 
 EXTINCTION = (3.0, 1.5, 0.4)
 ALBEDO = (0.9, 0.7, 0.5)
-LAMP = {
-    "type": "sphere",
-    "center": [0, 3, 0],
-    "radius": 0.5,
-    "emitter": {"type": "area", "radiance": 4.0},
-}
 
 
 def rgb(values: Any) -> dict[str, Any]:

@@ -13,15 +13,9 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
-from build import FURNACE, ball, look_at, medium, perspective, scene, stock
+from build import FURNACE, LAMP, ball, look_at, medium, perspective, scene, stock
 from measure import PASSES, assert_same, passes
 
-LAMP = {
-    "type": "sphere",
-    "center": [0, 3, 0],
-    "radius": 0.5,
-    "emitter": {"type": "area", "radiance": 4.0},
-}
 FLOOR = {
     "type": "rectangle",
     "to_world": mi.ScalarTransform4f().translate([0, -1.2, 0]).rotate([1, 0, 0], -90).scale(3),

@@ -8,17 +8,11 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
-from build import FURNACE, ball, beam, medium, perspective, scene, stock
+from build import FURNACE, LAMP, ball, beam, medium, perspective, scene, stock
 from measure import assert_mean, assert_same, passes
 
 from nonexp import models
 
-LAMP = {
-    "type": "sphere",
-    "center": [0, 3, 0],
-    "radius": 0.5,
-    "emitter": {"type": "area", "radiance": 4.0},
-}
 RGB = {"type": "rgb", "value": [0.9, 0.7, 0.5]}
 
 
