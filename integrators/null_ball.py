@@ -36,7 +36,9 @@ class NullBall:
         if ball is None:
             return None
         others = tuple(shape for shape in scene.shapes() if shape != ball)
-        if any(shape.class_name() == "Instance" for shape in others) or not available():
+        if any(shape.class_name() == "Instance" for shape in others):
+            return None
+        if others and not available():
             return None
         faces = sum(shape.face_count() if shape.is_mesh() else 1 for shape in others)
         return NullBall(ball, others) if faces <= MOST_FACES else None

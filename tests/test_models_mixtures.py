@@ -641,19 +641,6 @@ def test_other_weights_and_extinctions_need_no_other_kernel() -> None:
     assert len(hashes) == 1
 
 
-def test_a_render_with_a_mixture_can_be_frozen() -> None:
-    inside = medium(Mixture((ExponentialMixture(), Linear())))
-    built = scene(sensor=perspective([0, 0, 4], [0, 0, 0]), ball=ball(inside), sky=FURNACE)
-
-    @dr.freeze
-    def frozen(built: Any, seed: mi.UInt32) -> mi.TensorXf:
-        return mi.render(built, spp=4, seed=seed)
-
-    for seed in range(3):
-        replayed = np.array(frozen(built, mi.UInt32(seed)))
-        np.testing.assert_array_equal(replayed, np.array(mi.render(built, spp=4, seed=seed)))
-
-
 def test_components_nest_in_every_variant_also_after_others() -> None:
     scene = {"type": "transmittance_mixture", "a": {"type": "transmittance_linear", "b": 2.0}}
     for variant in ("llvm_ad_rgb", "llvm_ad_spectral", "llvm_ad_rgb", "llvm_ad_mono"):
