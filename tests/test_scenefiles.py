@@ -16,7 +16,7 @@ SCENES = Path(__file__).resolve().parent.parent / "scenes"
 
 SCENE = """
 <scene version="3.0.0">
-    <default name="law" value="laws:half"/>
+    <default name="law" value="halved:half"/>
     <default name="table" value="unused.csv"/>
     <default name="medium" value="own"/>
     <integrator type="nonexp_volpath"><integer name="max_depth" value="3"/></integrator>
@@ -63,7 +63,7 @@ def scene(tmp_path: Path) -> Path:
     (folder / "a.xml").write_text(SCENE)
     (folder / "parts/own.xml").write_text(OWN)
     (folder / "parts/table.xml").write_text(TABLE)
-    (folder / "laws.py").write_text(LAW)
+    (folder / "halved.py").write_text(LAW)
     for name in ("used.csv", "unused.csv"):
         (folder / name).write_text("0,1\n1,0.4\n2,0.2\n4,0.05\n")
     mi.load_dict({"type": "cube"}).write_ply(str(folder / "parts/cube.ply"))
@@ -72,7 +72,7 @@ def scene(tmp_path: Path) -> Path:
 
 def test_includes_meshes_and_modules_are_found(scene: Path) -> None:
     found = scenefiles.collect(scene, {})
-    assert sorted(found.digests()) == ["a.xml", "laws.py", "parts/cube.ply", "parts/own.xml"]
+    assert sorted(found.digests()) == ["a.xml", "halved.py", "parts/cube.ply", "parts/own.xml"]
 
 
 def test_parameters_choose_the_files(scene: Path) -> None:
@@ -123,7 +123,7 @@ def test_files_above_the_scene_are_packed_too(scene: Path) -> None:
     assert files.folder == above.parent.resolve()
     with zipfile.ZipFile(BytesIO(files.pack())) as archive:
         assert sorted(archive.namelist()) == [
-            "own.xml", "scene/a.xml", "scene/laws.py", "scene/parts/cube.ply"
+            "own.xml", "scene/a.xml", "scene/halved.py", "scene/parts/cube.ply"
         ]  # fmt: skip
 
 
