@@ -247,7 +247,8 @@ class Connections:
         connection_pdf = hit.pdf * crossing.density(hit.ds)
         weight = power_heuristic(hit.ray_pdf * crossing.passing, connection_pdf)
         # Only one of several ways through the glass is the one that connections take.
-        same = crossing.found & crossing.is_at(bent.p, 4 * self.offset.limit)
+        # The ray starts off the surface, up to ten times the offset where it grazes.
+        same = crossing.found & crossing.is_at(bent.p, 12 * self.offset.limit)
         return dr.select(same, weight, 1)
 
     def _line(self, ds: mi.DirectionSample3f) -> Line:

@@ -64,7 +64,7 @@ def laws(scene: str, spp: int, media: dict[str, str]) -> Any:
 
 def refractive(seconds: float = 60) -> Any:
     """The dragon at equal time, without and with connections through glass, and their noise."""
-    figure, axes = plt.subplots(2, 2, figsize=(8, 6.6), layout="constrained")
+    figure, axes = plt.subplots(2, 2, figsize=(8, 6.9), layout="constrained")
     scene = mi.load_file(str(ROOT / "scenes" / "dragon.xml"), **SIZE)
     for column, how in zip(axes.T, ("off", "auto"), strict=True):
         integrator = {"type": "nonexp_volpath", "max_depth": 64, "refractive_nee": how}
@@ -81,9 +81,10 @@ def refractive(seconds: float = 60) -> Any:
         print(f"refractive_nee={how}: {image.spp} spp in {image.seconds:.0f} s", flush=True)
         noise = np.mean(image.stderr, axis=2) / np.mean(image.mean)
         column[0].imshow(output.tone_map(image.mean))
-        column[0].set_title(f"refractive_nee = {how}: {image.spp} samples per pixel")
+        column[0].set_title(f"{how}: {image.spp} samples per pixel", fontsize=10)
         shown = column[1].imshow(noise, norm=LogNorm(0.003, 0.3), cmap="magma")
-    figure.colorbar(shown, ax=axes[1], label="standard error / mean of the image")
+    label = "standard error / mean of the image"
+    figure.colorbar(shown, ax=axes, location="bottom", shrink=0.6, pad=0.02, label=label)
     for axis in axes.flat:
         axis.axis("off")
     return figure
