@@ -19,7 +19,6 @@ import os
 import platform
 import re
 import shutil
-import signal
 import sys
 import tempfile
 import threading
@@ -38,6 +37,7 @@ from . import sceneid
 from .moments import Array
 from .rendering import Plan, passes
 from .scenefiles import SceneFiles
+from .signals import sigint_ignored
 
 __all__ = ["Cluster", "Job", "connect", "require"]
 
@@ -228,7 +228,7 @@ def connect(where: str, tell: Callable[[str], Any] = lambda text: None) -> Itera
         if match:
             number = int(match[1] or 2)
             threads = max(1, (os.cpu_count() or 1) // number)
-            with _sigint_ignored():
+            with sigint_ignored():
                 local = distributed.LocalCluster(
                     n_workers=number,
                     threads_per_worker=1,
@@ -248,16 +248,3 @@ def connect(where: str, tell: Callable[[str], Any] = lambda text: None) -> Itera
                 "(it must be local, local:N, or an address such as tcp://host:8786)"
             ) from error
         yield Cluster(client, tell)
-
-
-@contextlib.contextmanager
-def _sigint_ignored() -> Iterator[None]:
-    """Processes started in here ignore Ctrl-C, which is for the one that they work for."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)

@@ -10,7 +10,7 @@ from types import FrameType
 
 from .terminal import note
 
-__all__ = ["Stop", "Stopped", "stop_signals"]
+__all__ = ["Stop", "Stopped", "sigint_ignored", "stop_signals"]
 
 
 class Stopped(BaseException):
@@ -59,3 +59,16 @@ def stop_signals(immediately: bool = False) -> Iterator[Stop]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+@contextlib.contextmanager
+def sigint_ignored() -> Iterator[None]:
+    """Processes started in here ignore Ctrl-C, which is for the one that they work for."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import multiprocessing
-import signal
-import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
+
+from ..signals import sigint_ignored
 
 __all__ = ["Worker", "WorkerError"]
 
@@ -30,7 +30,7 @@ class Worker:
         )
 
     def __enter__(self) -> Worker:
-        with _deaf_to_interrupts():
+        with sigint_ignored():
             self._process.start()
         self._theirs.close()
         return self
@@ -66,16 +66,3 @@ def _run(serve: Callable[..., None], pipe: Any, arguments: tuple[Any, ...]) -> N
     except Exception as error:  # goes to whoever asked
         with contextlib.suppress(OSError):
             pipe.send(WorkerError(explain(error)))
-
-
-@contextlib.contextmanager
-def _deaf_to_interrupts() -> Iterator[None]:
-    """Processes started inside ignore Ctrl-C, which the one that started them answers."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
