@@ -14,6 +14,8 @@ from nonexp import models
 from nonexp.spectra import grey, somewhere, visible
 from nonexp.transmittance import Transmittance
 
+from .jit import recording
+
 
 @dataclass
 class Scatter:
@@ -152,7 +154,7 @@ def entry_of(pointer: Any, sealed: bool) -> Entry | None:
     if constant:
         value = extinction(somewhere())
         # While a function is being frozen nothing can be read: then zero goes through the loop.
-        if not dr.flag(dr.JitFlag.FreezingScope) and dr.all(dr.detach(value) == 0, axis=None):
+        if not recording() and dr.all(dr.detach(value) == 0, axis=None):
             return None
         dr.make_opaque(value)
         return Entry(pointer, model, lambda mei: value, albedo, sealed, chromatic)
@@ -161,7 +163,7 @@ def entry_of(pointer: Any, sealed: bool) -> Entry | None:
 
 def _tracked(pointer: Any, model: Transmittance, albedo: Any, sealed: bool) -> Entry | None:
     majorant = pointer.get_majorant(somewhere())[0]
-    if not dr.flag(dr.JitFlag.FreezingScope) and dr.all(dr.detach(majorant) == 0, axis=None):
+    if not recording() and dr.all(dr.detach(majorant) == 0, axis=None):
         return None
     parameters = mi.traverse(pointer)
     if "sigma_t.data" in parameters:

@@ -17,6 +17,7 @@ import mitsuba as mi
 from nonexp.choice import replayed
 
 from .entries import Entry, Scatter, Tracked, entry_of
+from .jit import Numbering
 from .scene_needs import SceneNeeds
 
 __all__ = ["Media", "Scatter", "scene_media"]
@@ -188,21 +189,14 @@ class ManyMedia(Media):
         if self._constant:
             self._sigma_t = self._gathered([self._spread(e.extinction(None)) for e in entries])
         self._draws = max(_count_draws(entry) for entry in entries)
-        # Mitsuba numbers the objects of a type; this table leads from its number to ours.
-        numbers = [int(_number(mi.MediumPtr(entry.pointer))[0]) for entry in entries]
-        table = [0] * (max(numbers) + 1)
-        for location, number in enumerate(numbers, 1):
-            table[number] = location
-        self._table = mi.UInt32(table)
+        self._numbering = Numbering([mi.MediumPtr(entry.pointer) for entry in entries])
         self._connects = mi.Bool([entry.connects for entry in entries])
         self._samples = mi.Bool([entry.samples for entry in entries])
         self._sealed = mi.Bool([entry.sealed for entry in entries])
         self._tracked = mi.Bool([isinstance(entry, Tracked) for entry in entries])
 
     def at(self, pointer: Any) -> Any:
-        number = _number(mi.MediumPtr(pointer))
-        known = number < len(self._table)
-        return dr.gather(mi.UInt32, self._table, number, known)
+        return self._numbering.of(mi.MediumPtr(pointer))
 
     def inside(self, location: Any) -> Any:
         return location != 0
@@ -303,10 +297,6 @@ class ManyMedia(Media):
             return dr.concat(extinctions)
         parts = zip(*extinctions, strict=True)
         return mi.UnpolarizedSpectrum([dr.concat(list(part)) for part in parts])
-
-
-def _number(pointer: Any) -> Any:
-    return dr.reinterpret_array(mi.UInt32, pointer)
 
 
 def _count_draws(entry: Entry) -> int:

@@ -11,8 +11,10 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from .jit import recording
 from .scene_needs import SceneNeeds
-from .subscene import available, subscene
+from .sphere import centre_and_radius
+from .subscene import subscene
 
 MOST_FACES = 1 << 14
 """Scenes with more than this are not held in memory twice."""
@@ -22,11 +24,7 @@ class NullBall:
     """The sphere, and all other shapes."""
 
     def __init__(self, ball: Any, others: tuple[Any, ...]) -> None:
-        box = ball.bbox()
-        self._centre = mi.Point3f(box.center())
-        self._radius = mi.Float(0.5 * float(dr.max(box.extents())))
-        if not dr.flag(dr.JitFlag.FreezingScope):
-            dr.make_opaque(self._centre, self._radius)
+        self._centre, self._radius = centre_and_radius(ball)
         self._others = subscene(others) if others else None
 
     @staticmethod
@@ -38,7 +36,7 @@ class NullBall:
         others = tuple(shape for shape in scene.shapes() if shape != ball)
         if any(shape.class_name() == "Instance" for shape in others):
             return None
-        if others and not available():
+        if others and recording():
             return None
         faces = sum(shape.face_count() if shape.is_mesh() else 1 for shape in others)
         return NullBall(ball, others) if faces <= MOST_FACES else None

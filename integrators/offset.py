@@ -14,6 +14,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from .jit import opaque
+
 # In steps of the coordinates' precision: what intersections and positions may be off by.
 _STEPS = 64
 _GRAZING = 0.1
@@ -28,9 +30,7 @@ class Offset:
         box = scene.bbox()
         extent = np.max(np.abs([box.min, box.max])) if box.valid() else 0.0
         limit = _STEPS * epsilon * min(float(extent), 1e30)
-        # Another size of the scene is no other kernel; but nothing is made opaque while recording.
-        frozen = dr.flag(dr.JitFlag.FreezingScope)
-        self.limit = mi.Float(limit) if frozen else dr.opaque(mi.Float, limit)
+        self.limit = opaque(mi.Float, limit)
         """Greatest distance, but for surfaces that a ray grazes."""
 
     def onward(self, vertex: Any, d: Any) -> Any:

@@ -17,10 +17,11 @@ from typing import Any
 
 import drjit as dr
 import mitsuba as mi
-import numpy as np
 
+from .jit import Numbering, opaque, recording
 from .scene_needs import SceneNeeds
-from .subscene import available, subscene
+from .sphere import centre_and_radius
+from .subscene import subscene
 
 STEPS = 16
 """Most points that a search looks at."""
@@ -124,7 +125,7 @@ def refraction(needs: SceneNeeds) -> Refraction | None:
     lobes = needs.lobes
     if len(lobes) == 1 and lobes[0].shape_type() == mi.ShapeType.Sphere:
         return Ball(lobes[0])
-    return Surfaces(lobes) if lobes and available() else None
+    return Surfaces(lobes) if lobes and not recording() else None
 
 
 class Refraction(ABC):
@@ -226,7 +227,7 @@ def _line(p: Any, target: Line) -> Line:
     distance = dr.norm(away)
     d = dr.select(infinite, target.d, away / distance)
     # Emitters at infinity stand somewhere behind all that is in the scene.
-    end = dr.select(infinite, p + target.d * dr.norm(target.p - p), target.p)
+    end = dr.select(infinite, p + target.d * distance, target.p)
     return Line(mi.Point3f(end), mi.Vector3f(d), dr.select(infinite, dr.inf, distance))
 
 
@@ -269,10 +270,8 @@ class Ball(Refraction):
 
     def __init__(self, shape: Any) -> None:
         self._shape, self._bsdf = shape, shape.bsdf()
-        box = shape.bbox()
-        self._centre = _opaque(mi.Point3f, box.center())
-        self._radius = _opaque(mi.Float, 0.5 * float(dr.max(box.extents())))
-        self._eta = _opaque(mi.Float, _eta(shape))
+        self._centre, self._radius = centre_and_radius(shape)
+        self._eta = opaque(mi.Float, _eta(shape))
 
     def eta(self, point: _Point) -> Any:
         return self._eta
@@ -313,21 +312,17 @@ class Surfaces(Refraction):
     """
 
     def __init__(self, shapes: tuple[Any, ...]) -> None:
-        self._shapes = shapes
         self._scene = subscene(shapes)
         self._alone = shapes[0] if len(shapes) == 1 else None
         self._meshes = any(shape.is_mesh() for shape in shapes)
         self._others = any(not shape.is_mesh() for shape in shapes)
-        self._etas = dr.concat([_opaque(mi.Float, _eta(shape)) for shape in shapes])
-        numbers = [int(_number(mi.ShapePtr(shape))[0]) for shape in shapes]
-        table = np.full(max(numbers) + 1, len(shapes), dtype=np.uint32)
-        table[numbers] = np.arange(len(shapes))
-        self._table = mi.UInt32(table)
+        self._etas = dr.concat([opaque(mi.Float, _eta(shape)) for shape in shapes])
+        self._numbering = Numbering([mi.ShapePtr(shape) for shape in shapes])
 
     def eta(self, point: _Point) -> Any:
         if self._alone:
             return self._etas
-        return dr.gather(mi.Float, self._etas, point.lobe, point.valid)
+        return dr.gather(mi.Float, self._etas, point.lobe - 1, point.valid)
 
     def first(self, x: Any, d: Any, active: Any) -> _Point:
         d = dr.normalize(d)
@@ -346,7 +341,7 @@ class Surfaces(Refraction):
                 dp, dn = of_mesh
         n = si.sh_frame.n
         valid = si.is_valid() & (dr.dot(d, n) > 0) & (dr.dot(d, si.n) > 0)
-        lobe = None if self._alone else self._lobe(si)
+        lobe = None if self._alone else self._numbering.of(si.shape)
         return _Point(si.p, n, dp, dn, valid, lobe)
 
     def moved(self, x: Any, p: Any, step: Any, start: _Point, active: Any) -> _Point:
@@ -356,19 +351,12 @@ class Surfaces(Refraction):
         return point
 
     def meets(self, si: Any) -> Any:
-        return (self._lobe(si) < len(self._shapes)) & (si.wi.z > 0)
+        return (self._numbering.of(si.shape) != 0) & (si.wi.z > 0)
 
     def surface(self, x: Any, w: Any, it: Any, active: Any) -> tuple[Any, Any]:
         ray = mi.Ray3f(x, w, it.time, it.wavelengths)
         si = self._scene.ray_intersect(ray, mi.RayFlags.All, False, active)
         return si, self._alone.bsdf() if self._alone else si.bsdf()
-
-    def _lobe(self, si: Any) -> Any:
-        """Which of the surfaces an interaction is on; their number if none."""
-        number = _number(si.shape)
-        known = si.is_valid() & (number < len(self._table))
-        lobe = dr.gather(mi.UInt32, self._table, number, known)
-        return dr.select(known, lobe, len(self._shapes))
 
 
 def _mesh_derivatives(mesh: Any, si: Any, active: Any) -> Any:
@@ -403,15 +391,3 @@ def _barycentric(corners: list[Any], p: Any) -> tuple[Any, Any]:
 
 def _eta(shape: Any) -> Any:
     return mi.traverse(shape.bsdf())["eta"]
-
-
-def _number(pointer: Any) -> Any:
-    return dr.reinterpret_array(mi.UInt32, pointer)
-
-
-def _opaque(kind: Any, value: Any) -> Any:
-    """A value that is no part of the kernel; but nothing is made opaque while recording."""
-    result = kind(value)
-    if not dr.flag(dr.JitFlag.FreezingScope):
-        dr.make_opaque(result)
-    return result

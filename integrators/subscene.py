@@ -6,7 +6,6 @@ import atexit
 from collections import OrderedDict
 from typing import Any
 
-import drjit as dr
 import mitsuba as mi
 
 _KEPT = 8
@@ -14,13 +13,11 @@ _known: OrderedDict[tuple[Any, ...], tuple[Any, Any]] = OrderedDict()
 atexit.register(_known.clear)
 
 
-def available() -> bool:
-    """While a function is being frozen, only the scenes that it was given can be used."""
-    return not dr.flag(dr.JitFlag.FreezingScope)
-
-
 def subscene(shapes: tuple[Any, ...]) -> mi.Scene:
-    """A scene of these shapes alone; built once for each state of their geometry."""
+    """A scene of these shapes alone; built once for each state of their geometry.
+
+    Not while a function is being frozen, which can use only the scenes that it was given.
+    """
     states = [_state(shape) for shape in shapes]
     key = tuple((id(shape), *state[1:]) for shape, state in zip(shapes, states, strict=True))
     if key not in _known:

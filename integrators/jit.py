@@ -1,0 +1,43 @@
+"""What keeps a scene's numbers out of the kernel, and its objects numbered."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+
+def recording() -> bool:
+    """Whether a function is being frozen: then nothing can be read, evaluated or built."""
+    return bool(dr.flag(dr.JitFlag.FreezingScope))
+
+
+def opaque(kind: Any, value: Any) -> Any:
+    """A value that is no part of the kernel, so that another one needs no other kernel."""
+    result = kind(value)
+    if not recording():
+        dr.make_opaque(result)
+    return result
+
+
+class Numbering:
+    """Some of Mitsuba's objects, numbered from 1 on; all others are 0."""
+
+    def __init__(self, pointers: Sequence[Any]) -> None:
+        # Mitsuba numbers the objects of a type; this table leads from its number to ours.
+        numbers = [int(_number(pointer)[0]) for pointer in pointers]
+        table = np.zeros(max(numbers) + 1, dtype=np.uint32)
+        table[numbers] = np.arange(1, len(numbers) + 1)
+        self._table = mi.UInt32(table)
+
+    def of(self, pointer: Any) -> Any:
+        """Number of what a pointer stands for."""
+        number = _number(pointer)
+        return dr.gather(mi.UInt32, self._table, number, number < len(self._table))
+
+
+def _number(pointer: Any) -> Any:
+    return dr.reinterpret_array(mi.UInt32, pointer)
