@@ -25,6 +25,8 @@ from nonexp.integrators.scene_needs import SceneNeeds
 refractive = import_module("nonexp.integrators.refractive")
 
 ETA = 1.4
+
+
 LAMP = {
     "type": "rectangle",
     "to_world": mi.ScalarTransform4f().translate([0.3, 2.1, 0.2]).rotate([1, 0, 0], 90),
@@ -173,6 +175,19 @@ def two_balls_met(si: Any) -> Callable[[Any, Any], tuple[Any, Any]]:
 
 
 PLACE = mi.ScalarTransform4f()
+
+
+def water(surface: str) -> Case:
+    """Seen from below a level surface."""
+    level = PLACE.rotate([1, 0, 0], -90).scale(20)
+    return Case(
+        lambda: {"a": {"type": surface, "to_world": level, "bsdf": glass()}},
+        lambda u: in_unit_ball(u) - [0, 1.01, 0],
+        lambda si: flat(np.zeros(3), np.array([0, 1.0, 0])),
+        0.99,
+    )
+
+
 CASES = {
     "sphere": Case(
         lambda: {"a": round_ball(glass(), 0.8)},
@@ -204,30 +219,8 @@ CASES = {
         lambda u: 0.9 * in_unit_ball(u),
         lambda si: curved(0, 1, np.array([0, 1, 1])),
     ),
-    "water": Case(
-        lambda: {
-            "a": {
-                "type": "rectangle",
-                "to_world": PLACE.rotate([1, 0, 0], -90).scale(20),
-                "bsdf": glass(),
-            }
-        },
-        lambda u: in_unit_ball(u) - [0, 1.01, 0],
-        lambda si: flat(np.zeros(3), np.array([0, 1.0, 0])),
-        0.99,
-    ),
-    "disk of water": Case(
-        lambda: {
-            "a": {
-                "type": "disk",
-                "to_world": PLACE.rotate([1, 0, 0], -90).scale(20),
-                "bsdf": glass(),
-            }
-        },
-        lambda u: in_unit_ball(u) - [0, 1.01, 0],
-        lambda si: flat(np.zeros(3), np.array([0, 1.0, 0])),
-        0.99,
-    ),
+    "water": water("rectangle"),
+    "disk of water": water("disk"),
 }
 
 
