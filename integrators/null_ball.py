@@ -19,6 +19,9 @@ from .subscene import subscene
 MOST_FACES = 1 << 14
 """Scenes with more than this are not held in memory twice."""
 
+MOST_SHAPES = 64
+"""With more than this, looking whether one has changed takes milliseconds in each render."""
+
 
 class NullBall:
     """The sphere, and all other shapes."""
@@ -34,7 +37,7 @@ class NullBall:
         if ball is None:
             return None
         others = tuple(shape for shape in scene.shapes() if shape != ball)
-        if any(shape.class_name() == "Instance" for shape in others):
+        if len(others) > MOST_SHAPES or any(s.class_name() == "Instance" for s in others):
             return None
         if others and recording():
             return None
