@@ -341,7 +341,8 @@ def test_compare_finds_nothing_in_a_repeated_run() -> None:
         ({"noisier": 2.0}, {("efficiency", False)}),
         ({"bias": 0.05}, {("bias", False)}),
     ],
-    ids=str,
+    # The names must be the same in every process: a set has no order.
+    ids=["slower", "faster", "noisier", "biased"],
 )
 def test_compare_finds_what_is_planted_and_no_other(
     planted: dict[str, float], expected: set[tuple[str, bool]]
