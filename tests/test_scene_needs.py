@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import re
 import tempfile
 from collections import Counter
@@ -139,6 +140,7 @@ def traced(built: Any) -> Kernel:
 
 
 def kernel(integrator: str | dict[str, Any] = "nonexp_volpath", **parts: Any) -> Kernel:
+    gc.collect()  # calls are dispatched over all objects that are still there
     return traced(scene(integrator, sensor=perspective([0, 0, 4], [0, 0, 0]), **parts))
 
 
