@@ -14,7 +14,7 @@ import mitsuba as mi
 from .jit import recording
 from .scene_needs import SceneNeeds
 from .sphere import centre_and_radius
-from .subscene import subscene
+from .subscene import Subscenes
 
 MOST_FACES = 1 << 14
 """Scenes with more than this are not held in memory twice."""
@@ -24,14 +24,14 @@ MOST_SHAPES = 64
 
 
 class NullBall:
-    """The sphere, and all other shapes."""
+    """The sphere, and a scene of all other shapes, if there are any."""
 
-    def __init__(self, ball: Any, others: tuple[Any, ...]) -> None:
+    def __init__(self, ball: Any, others: mi.Scene | None) -> None:
         self._centre, self._radius = centre_and_radius(ball)
-        self._others = subscene(others) if others else None
+        self._others = others
 
     @staticmethod
-    def of(scene: mi.Scene, needs: SceneNeeds) -> NullBall | None:
+    def of(scene: mi.Scene, needs: SceneNeeds, subscenes: Subscenes) -> NullBall | None:
         """The sphere of a scene that has just one, and no other null surface or medium."""
         ball = needs.null_ball
         if ball is None:
@@ -42,7 +42,9 @@ class NullBall:
         if others and recording():
             return None
         faces = sum(shape.face_count() if shape.is_mesh() else 1 for shape in others)
-        return NullBall(ball, others) if faces <= MOST_FACES else None
+        if faces > MOST_FACES:
+            return None
+        return NullBall(ball, subscenes.of(others) if others else None)
 
     def ray_test(self, ray: Any, active: Any) -> Any:
         """Whether anything but the sphere is on a shadow ray."""

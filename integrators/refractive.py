@@ -21,7 +21,7 @@ import mitsuba as mi
 from .jit import Numbering, opaque, recording
 from .scene_needs import SceneNeeds
 from .sphere import centre_and_radius
-from .subscene import subscene
+from .subscene import Subscenes
 
 STEPS = 16
 """Most points that a search looks at."""
@@ -120,12 +120,12 @@ class _Search:
     """the search goes on"""
 
 
-def refraction(needs: SceneNeeds) -> Refraction | None:
+def refraction(needs: SceneNeeds, subscenes: Subscenes) -> Refraction | None:
     """The scene's smooth dielectric surfaces through which connections bend; None if none does."""
     lobes = needs.lobes
     if len(lobes) == 1 and lobes[0].shape_type() == mi.ShapeType.Sphere:
         return Ball(lobes[0])
-    return Surfaces(lobes) if lobes and not recording() else None
+    return Surfaces(lobes, subscenes.of(lobes)) if lobes and not recording() else None
 
 
 class Refraction(ABC):
@@ -311,8 +311,8 @@ class Surfaces(Refraction):
     They are looked for in a scene of their own, so that nothing inside is in the way of a search.
     """
 
-    def __init__(self, shapes: tuple[Any, ...]) -> None:
-        self._scene = subscene(shapes)
+    def __init__(self, shapes: tuple[Any, ...], scene: mi.Scene) -> None:
+        self._scene = scene
         self._alone = shapes[0] if len(shapes) == 1 else None
         self._meshes = any(shape.is_mesh() for shape in shapes)
         self._others = any(not shape.is_mesh() for shape in shapes)

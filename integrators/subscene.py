@@ -2,35 +2,42 @@
 
 from __future__ import annotations
 
-import atexit
 from collections import OrderedDict
 from typing import Any
 
 import mitsuba as mi
 
-_KEPT = 8
-_known: OrderedDict[tuple[Any, ...], tuple[Any, Any]] = OrderedDict()
-atexit.register(_known.clear)
+_KEPT = 4
 
 
-def subscene(shapes: tuple[Any, ...]) -> mi.Scene:
-    """A scene of these shapes alone; built once for each state of their geometry.
+class Subscenes:
+    """Scenes of some shapes, each built once for each state of their geometry.
 
-    Not while a function is being frozen, which can use only the scenes that it was given.
+    An integrator keeps its own, so that they go when its scene goes: objects that are still there
+    are part of the kernels of all other scenes.
     """
-    states = [_state(shape) for shape in shapes]
-    key = tuple((id(shape), *state[1:]) for shape, state in zip(shapes, states, strict=True))
-    if key not in _known:
-        properties = mi.Properties("scene")
-        for number, shape in enumerate(shapes):
-            properties[f"shape_{number}"] = shape
-        scene = mi.PluginManager.instance().create_object(properties)
-        # Holding shapes and arrays keeps their numbers from being given to others.
-        _known[key] = scene, (shapes, states)
-        if len(_known) > _KEPT:
-            _known.popitem(last=False)
-    _known.move_to_end(key)
-    return _known[key][0]
+
+    def __init__(self) -> None:
+        self._known: OrderedDict[tuple[Any, ...], tuple[Any, Any]] = OrderedDict()
+
+    def of(self, shapes: tuple[Any, ...]) -> mi.Scene:
+        """A scene of these shapes alone.
+
+        Not while a function is being frozen, which can use only the scenes that it was given.
+        """
+        states = [_state(shape) for shape in shapes]
+        key = tuple((id(shape), *state[1:]) for shape, state in zip(shapes, states, strict=True))
+        if key not in self._known:
+            properties = mi.Properties("scene")
+            for number, shape in enumerate(shapes):
+                properties[f"shape_{number}"] = shape
+            scene = mi.PluginManager.instance().create_object(properties)
+            # Holding shapes and arrays keeps their numbers from being given to others.
+            self._known[key] = scene, (shapes, states)
+            if len(self._known) > _KEPT:
+                self._known.popitem(last=False)
+        self._known.move_to_end(key)
+        return self._known[key][0]
 
 
 def _state(shape: Any) -> tuple[Any, ...]:

@@ -21,6 +21,7 @@ from .offset import Offset
 from .refractive import refraction
 from .scene_needs import SceneNeeds
 from .spectral import at_channel, balanced, draw_channel
+from .subscene import Subscenes
 
 
 @dataclass
@@ -108,6 +109,7 @@ class NonexpVolpath(mi.SamplingIntegrator):
         self.rr_depth = _integer(props, "rr_depth", 5, "an integer > 0", 1)
         self.hide_emitters = props.get("hide_emitters", False)
         self.refractive_nee = _choice(props, "refractive_nee", ("auto", "on", "off"))
+        self._subscenes = Subscenes()
 
     def sample(
         self,
@@ -125,11 +127,13 @@ class NonexpVolpath(mi.SamplingIntegrator):
         chromatic = bool(media and media.chromatic)
         hero = draw_channel(sampler.next_1d()) if chromatic else None
         collisions_connect = bool(media and media.connects)
-        glass = refraction(needs)
+        glass = refraction(needs, self._subscenes)
         tracks = bool(media and media.tracks)
         bent_hits = bool(glass and needs.hittable_emitters)
         connections = needs.emitters and bool(needs.smooth_surfaces or collisions_connect or glass)
-        ball = NullBall.of(scene, needs) if null and connections and not tracks else None
+        ball = None
+        if null and connections and not tracks:
+            ball = NullBall.of(scene, needs, self._subscenes)
         nee = Connections(scene, needs, media, offset, glass, ball)
         path = _Path(
             active=mi.Bool(active) & (self.max_depth > 0),

@@ -227,6 +227,16 @@ def fog(model: str = "exponential", **kw: Any) -> dict[str, Any]:
     return {"ball": ball(medium(model, **kw)), "lamp": LAMP}
 
 
+def test_scenes_that_are_gone_leave_nothing_behind() -> None:
+    """Neither fog, whose shadow rays need a second scene, nor glass through which rays bend."""
+    alone = operations(**fog())
+    others = {"sky": FURNACE, "tube": {"type": "cylinder", "bsdf": {"type": "plastic"}}}
+    lobe = {"type": "cylinder", "bsdf": {"type": "dielectric"}, "interior": medium("linear")}
+    assert operations(**fog("gamma"), **others) > alone
+    assert operations("nonexp_volpath", lobe=lobe, lamp=LAMP, **others) > alone
+    assert operations(**fog()) == alone
+
+
 def test_grey_extinction_holds_no_spectra() -> None:
     """However it is written; colour costs a tenth more at least, and only then."""
     grey = operations(**fog(sigma_t=0.7))
