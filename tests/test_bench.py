@@ -404,6 +404,14 @@ def test_report_tells_all(tmp_path: Path) -> None:
     assert widths == {13}
 
 
+def test_report_names_slopes_that_are_off() -> None:
+    """The one with a floor, and nothing that misses its own interval by chance."""
+    for seed in range(8):
+        assert "none in intervals that hold all" in report.summary(made(seed))[-1]
+        off = report.summary(made(seed, bias=0.5))[-1]
+        assert "`other` in a-exponential (" in off and off.count(" in a-") == 1 and "b-" not in off
+
+
 def test_a_failing_plot_leaves_the_old_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from matplotlib.figure import Figure
 

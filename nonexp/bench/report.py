@@ -8,10 +8,12 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from scipy import stats
+
 from ..files import replacing
 from .competitors import COMPETITORS
 from .results import CaseResult, Results, Row
-from .statistics import Estimate
+from .statistics import LEVEL, Estimate
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -135,7 +137,30 @@ def summary(results: Results) -> list[str]:
         lines += ["", "No competitor is biased."]
     if failed:
         lines += ["", *failed]
-    return lines
+    return [*lines, "", _slopes(results)]
+
+
+def _slopes(results: Results) -> str:
+    """Whose error does not fall as 1/N, beyond what chance does to one of so many slopes."""
+    found = [
+        (case, row, row.figures.slope)
+        for case in results.cases
+        for row in case.rows
+        if row.figures is not None and math.isfinite(row.figures.slope.value)
+    ]
+    off, outside = [], 0
+    for case, row, slope in found:
+        # Intervals at 95 % that hold all slopes jointly (Bonferroni).
+        joint = 0.5 * (1 - LEVEL) / len(found)
+        wider = stats.t.isf(joint, row.passes - 1) / stats.t.isf(0.5 * (1 - LEVEL), row.passes - 1)
+        distance = abs(slope.value + 1)
+        outside += distance > slope.high - slope.value
+        if distance > wider * (slope.high - slope.value):
+            off.append(f"`{row.name}` in {case.name} ({_interval(slope, 3)})")
+    text = f"Of {len(found)} slopes, {outside} miss -1 in their own interval at 95 %"
+    if off:
+        return f"{text}, and in intervals that hold all of them at 95 %: {', '.join(off)}."
+    return f"{text}, and none in intervals that hold all of them at 95 %."
 
 
 def _case_table(case: CaseResult) -> list[str]:
