@@ -22,6 +22,7 @@ from .refractive import refraction
 from .scene_needs import SceneNeeds
 from .spectral import at_channel, balanced, draw_channel
 from .subscene import Subscenes
+from .surface import eval_pdf_sample
 
 
 @dataclass
@@ -162,7 +163,6 @@ class NonexpVolpath(mi.SamplingIntegrator):
             seen=mi.Bool(False) if bent_hits else None,
         )
         time, wavelengths = ray.time, ray.wavelengths
-        context = mi.BSDFContext()
 
         def event(sampler: mi.Sampler, s: _Path) -> tuple[mi.Sampler, _Path]:
             # --------------------------------------------------- flight to the next event
@@ -266,8 +266,8 @@ class NonexpVolpath(mi.SamplingIntegrator):
 
             # --------------------------------------------------- scattering
             u1, u2 = sampler.next_1d(), sampler.next_2d()
-            value, value_pdf, bs, weight = bsdf.eval_pdf_sample(
-                context, si, si.to_local(wo), u1, u2, on_surface
+            value, value_pdf, bs, weight = eval_pdf_sample(
+                bsdf, si, si.to_local(wo), u1, u2, on_surface
             )
             d, pdf = si.to_world(bs.wo), bs.pdf
             passed = on_surface & mi.has_flag(bs.sampled_type, mi.BSDFFlags.Null)
