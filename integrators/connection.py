@@ -16,6 +16,7 @@ from .null_ball import NullBall
 from .offset import Offset
 from .refractive import Crossing, Line, Refraction
 from .scene_needs import SceneNeeds
+from .tracer import Tracer
 
 
 @dataclass
@@ -101,6 +102,7 @@ class Connections:
     """Next-event estimation in one scene."""
 
     scene: mi.Scene
+    tracer: Tracer
     needs: SceneNeeds
     media: Media | None
     offset: Offset
@@ -226,7 +228,7 @@ class Connections:
         bs, weight = bsdf.sample(mi.BSDFContext(), si, 0.0, mi.Point2f(0.5), active)
         d = si.to_world(bs.wo)
         ray = mi.Ray3f(self.offset.onward(vertex, d), d, vertex.time, vertex.wavelengths)
-        met = self.scene.ray_intersect(ray, active)
+        met = self.tracer.intersect(ray, False, active)
         return mi.Spectrum(weight * bs.pdf * met.emitter(self.scene).eval(met, active))
 
     def _refracted(self, light: Any, ds: mi.DirectionSample3f, crossing: Crossing) -> Any:
@@ -287,7 +289,7 @@ class Connections:
                     media, start, onward, line.distance, sampler, tracked
                 )
             share = survival if self.ball else dr.select(media.inside(start), survival, share)
-        blocked = (self.ball or self.scene).ray_test(ray, active)
+        blocked = (self.ball or self.tracer).occluded(ray, active)
         return dr.select(active & ~blocked, share, 0)
 
 
@@ -320,7 +322,7 @@ def _walk(
     where the ray leaves that medium.
     """
 
-    scene, offset, d = connections.scene, connections.offset, line.d
+    offset, d = connections.offset, line.d
 
     def remaining(s: _Ray) -> Any:
         distance = dr.dot(line.p - s.start, d)
@@ -329,7 +331,7 @@ def _walk(
         return dr.select(dr.isinf(line.distance), dr.inf, distance)
 
     def body(sampler: mi.Sampler, s: _Ray) -> tuple[mi.Sampler, _Ray]:
-        si = scene.ray_intersect(s.ray, s.active)
+        si = connections.tracer.intersect(s.ray, False, s.active)
         hit = s.active & si.is_valid()
         through = si.bsdf().eval_null_transmission(si, hit)
         s.transmittance = dr.select(hit, s.transmittance * through, s.transmittance)

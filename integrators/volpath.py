@@ -23,6 +23,7 @@ from .scene_needs import SceneNeeds
 from .spectral import at_channel, balanced, draw_channel
 from .subscene import Subscenes
 from .surface import eval_pdf_sample
+from .tracer import Tracer
 
 
 @dataclass
@@ -132,10 +133,9 @@ class NonexpVolpath(mi.SamplingIntegrator):
         tracks = bool(media and media.tracks)
         bent_hits = bool(glass and needs.hittable_emitters)
         connections = needs.emitters and bool(needs.smooth_surfaces or collisions_connect or glass)
-        ball = None
-        if null and connections and not tracks:
-            ball = NullBall.of(scene, needs, self._subscenes)
-        nee = Connections(scene, needs, media, offset, glass, ball)
+        tracer = Tracer.of(scene, self._subscenes)
+        ball = NullBall.of(needs, tracer) if null and connections and not tracks else None
+        nee = Connections(scene, tracer, needs, media, offset, glass, ball)
         path = _Path(
             active=mi.Bool(active) & (self.max_depth > 0),
             depth=mi.UInt32(0),
@@ -179,7 +179,7 @@ class NonexpVolpath(mi.SamplingIntegrator):
                 travelled = tau / sigma_t  # from the last event, not from the ray's origin
                 t_collision = travelled - gap
                 ray.maxt = dr.select(inside, dr.minimum(t_collision, s.far), s.far)
-            si = scene.ray_intersect(ray, mi.RayFlags.All, s.depth == 0, s.active)
+            si = tracer.intersect(ray, s.depth == 0, s.active)
             if self.hide_emitters:
                 si = self._skip_emitters(scene, ray, si, s.active & (s.depth == 0))
             if media and media.tracks:
