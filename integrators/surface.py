@@ -19,8 +19,11 @@ def eval_pdf_sample(bsdf: Any, si: Any, wo: Any, u1: Any, u2: Any, active: Any) 
 
 
 def _scatter(
-    context: mi.BSDFContext, bsdf: mi.BSDF, si: Any, wo: Any, u1: Any, u2: Any, active: Any
+    context: mi.BSDFContext, bsdf: mi.BSDF | None, si: Any, wo: Any, u1: Any, u2: Any, active: Any
 ) -> Any:
+    if bsdf is None:  # a scene without surfaces
+        sample = dr.zeros(mi.BSDFSample3f)
+        return mi.Spectrum(0), mi.Float(0), sample, mi.Spectrum(0)
     sides = 2 if bsdf.class_name() == "TwoSidedBRDF" else 1
     diffuse = _one_brdf(bsdf) if sides == 2 else bsdf
     if diffuse is None or diffuse.class_name() != "SmoothDiffuse":

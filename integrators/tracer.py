@@ -13,7 +13,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from .jit import recording
+from .jit import opaque, recording
 from .sphere import centre_and_radius, is_plain
 from .subscene import Subscenes
 
@@ -29,6 +29,8 @@ MOST_SHAPES = 64
 @dataclass(frozen=True)
 class _Sphere:
     shape: Any
+    pointer: Any
+    """as the kernel sees the shape: no part of it, since scenes are loaded in any order"""
     centre: Any
     radius: Any
 
@@ -71,8 +73,11 @@ class Tracer:
             return Tracer(scene)
         if sum(shape.face_count() if shape.is_mesh() else 1 for shape in rest) > MOST_FACES:
             return Tracer(scene)
-        found = (_Sphere(shape, *centre_and_radius(shape)) for shape in spheres)
-        return Tracer(subscenes.of(rest) if rest else None, tuple(found))
+        found = tuple(
+            _Sphere(shape, opaque(mi.ShapePtr, shape), *centre_and_radius(shape))
+            for shape in spheres
+        )
+        return Tracer(subscenes.of(rest) if rest else None, found)
 
     def intersect(self, ray: mi.Ray3f, coherent: Any, active: Any) -> mi.SurfaceInteraction3f:
         """The first surface on a ray."""
@@ -84,7 +89,7 @@ class Tracer:
             for sphere in self.spheres:
                 closer, t = sphere.distance(ray, limit)
                 limit = dr.select(closer, t, limit)
-                met = dr.select(closer, mi.ShapePtr(sphere.shape), met)
+                met = dr.select(closer, sphere.pointer, met)
         on_sphere = active & (met != None)  # noqa: E711
         first = dr.zeros(mi.PreliminaryIntersection3f)
         first.valid, first.t, first.shape = on_sphere, dr.select(on_sphere, limit, dr.inf), met
