@@ -20,7 +20,7 @@ import mitsuba as mi
 
 from .jit import Numbering, opaque, recording
 from .scene_needs import SceneNeeds
-from .sphere import centre_and_radius
+from .sphere import place
 from .subscene import Subscenes
 
 STEPS = 16
@@ -123,8 +123,9 @@ class _Search:
 def refraction(needs: SceneNeeds, subscenes: Subscenes) -> Refraction | None:
     """The scene's smooth dielectric surfaces through which connections bend; None if none does."""
     lobes = needs.lobes
-    if len(lobes) == 1 and lobes[0].shape_type() == mi.ShapeType.Sphere:
-        return Ball(lobes[0])
+    where = place(lobes[0]) if len(lobes) == 1 else None
+    if where:
+        return Ball(lobes[0], *where)
     return Surfaces(lobes, subscenes.of(lobes)) if lobes and not recording() else None
 
 
@@ -268,9 +269,9 @@ def _newton(point: _Point, x: Any, target: Line, eta: Any) -> tuple[Any, Any, An
 class Ball(Refraction):
     """A single sphere: everything in closed form."""
 
-    def __init__(self, shape: Any) -> None:
+    def __init__(self, shape: Any, centre: Any, radius: Any) -> None:
         self._shape, self._bsdf = shape, shape.bsdf()
-        self._centre, self._radius = centre_and_radius(shape)
+        self._centre, self._radius = centre, radius
         self._eta = opaque(mi.Float, _eta(shape))
 
     def eta(self, point: _Point) -> Any:

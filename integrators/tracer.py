@@ -14,10 +14,10 @@ import drjit as dr
 import mitsuba as mi
 
 from .jit import opaque, recording
-from .sphere import centre_and_radius, is_plain
+from .sphere import place
 from .subscene import Subscenes
 
-MOST_SPHERES = 4
+MOST_SPHERES = 32
 
 MOST_FACES = 1 << 18
 """Scenes with more than this are not held in memory twice."""
@@ -63,21 +63,22 @@ class Tracer:
     def of(scene: mi.Scene, subscenes: Subscenes) -> Tracer:
         """Tells spheres from all other shapes, if that is possible and pays."""
         shapes = scene.shapes()
-        spheres = [shape for shape in shapes if is_plain(shape)]
-        rest = tuple(shape for shape in shapes if shape not in spheres)
-        if not 0 < len(spheres) <= MOST_SPHERES or len(shapes) > MOST_SHAPES:
+        if "llvm" not in mi.variant() or recording() or len(shapes) > MOST_SHAPES:
             return Tracer(scene)
-        if "llvm" not in mi.variant() or recording():
+        places = [place(shape) for shape in shapes]
+        rest = tuple(shape for shape, found in zip(shapes, places, strict=True) if not found)
+        if not 0 < len(shapes) - len(rest) <= MOST_SPHERES:
             return Tracer(scene)
         if any(shape.class_name() == "Instance" for shape in rest):
             return Tracer(scene)
         if sum(shape.face_count() if shape.is_mesh() else 1 for shape in rest) > MOST_FACES:
             return Tracer(scene)
-        found = tuple(
-            _Sphere(shape, opaque(mi.ShapePtr, shape), *centre_and_radius(shape))
-            for shape in spheres
+        spheres = tuple(
+            _Sphere(shape, opaque(mi.ShapePtr, shape), *found)
+            for shape, found in zip(shapes, places, strict=True)
+            if found
         )
-        return Tracer(subscenes.of(rest) if rest else None, found)
+        return Tracer(subscenes.of(rest) if rest else None, spheres)
 
     def intersect(self, ray: mi.Ray3f, coherent: Any, active: Any) -> mi.SurfaceInteraction3f:
         """The first surface on a ray."""
