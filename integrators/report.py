@@ -14,6 +14,7 @@ from nonexp.spectra import visible
 from .entries import Entry, Tracked
 from .media import Media, OneMedium, scene_media
 from .scene_needs import SceneNeeds
+from .tracer import told_apart
 
 
 @dataclass(frozen=True)
@@ -32,10 +33,12 @@ def findings(scene: mi.Scene) -> list[Finding]:
     wanted = getattr(scene.integrator(), "refractive_nee", "auto")
     needs = SceneNeeds.of(scene, start, wanted)
     media = scene_media(needs)
+    spheres = [sphere.shape for sphere in told_apart(scene)[0]]
     emitters = Counter(emitter.class_name() for emitter in scene.emitters())
     return [
         *_media(needs, media),
-        _null(needs),
+        _null(needs, media, spheres),
+        _spheres(scene, spheres),
         Finding(
             "emitters",
             ", ".join(f"{n} {name}" if n > 1 else name for name, n in emitters.items()) or "none",
@@ -94,12 +97,22 @@ def _medium_effect(entry: Entry) -> str:
     return "collisions connect to emitters"
 
 
-def _null(needs: SceneNeeds) -> Finding:
-    if needs.null_surfaces:
+def _null(needs: SceneNeeds, media: Media | None, spheres: list[mi.Shape]) -> Finding:
+    if needs.null_ball in spheres and not (media and media.tracks):
+        answer, effect = "one sphere", "skipped: walks; flights go on behind it"
+    elif needs.null_surfaces:
         answer, effect = "some", "shadow rays walk through them; flights go on behind them"
     else:
         answer, effect = "none", "skipped: walks; a shadow ray is one occlusion test"
     return Finding("surfaces that let rays straight through", answer, effect)
+
+
+def _spheres(scene: mi.Scene, spheres: list[mi.Shape]) -> Finding:
+    count = sum(shape.class_name() == "Sphere" for shape in scene.shapes())
+    if spheres:
+        answer = f"{len(spheres)} of {len(scene.shapes())} shapes"
+        return Finding("spheres", answer, "met in closed form, before all other shapes")
+    return Finding("spheres", f"{count}" if count else "none", "skipped: spheres in closed form")
 
 
 def _emitters(needs: SceneNeeds) -> str:

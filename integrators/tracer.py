@@ -62,22 +62,9 @@ class Tracer:
     @staticmethod
     def of(scene: mi.Scene, subscenes: Subscenes) -> Tracer:
         """Tells spheres from all other shapes, if that is possible and pays."""
-        shapes = scene.shapes()
-        if "llvm" not in mi.variant() or recording() or len(shapes) > MOST_SHAPES:
+        spheres, rest = told_apart(scene)
+        if not spheres:
             return Tracer(scene)
-        places = [place(shape) for shape in shapes]
-        rest = tuple(shape for shape, found in zip(shapes, places, strict=True) if not found)
-        if not 0 < len(shapes) - len(rest) <= MOST_SPHERES:
-            return Tracer(scene)
-        if any(shape.class_name() == "Instance" for shape in rest):
-            return Tracer(scene)
-        if sum(shape.face_count() if shape.is_mesh() else 1 for shape in rest) > MOST_FACES:
-            return Tracer(scene)
-        spheres = tuple(
-            _Sphere(shape, opaque(mi.ShapePtr, shape), *found)
-            for shape, found in zip(shapes, places, strict=True)
-            if found
-        )
         return Tracer(subscenes.of(rest) if rest else None, spheres)
 
     def intersect(self, ray: mi.Ray3f, coherent: Any, active: Any) -> mi.SurfaceInteraction3f:
@@ -110,3 +97,25 @@ class Tracer:
         if self._scene:
             blocked |= self._scene.ray_test(ray, active & ~blocked)
         return active & blocked
+
+
+def told_apart(scene: mi.Scene) -> tuple[tuple[_Sphere, ...], tuple[Any, ...]]:
+    """The spheres that are met in closed form, and all other shapes."""
+    shapes = tuple(scene.shapes())
+    none: tuple[_Sphere, ...] = ()
+    if "llvm" not in mi.variant() or recording() or len(shapes) > MOST_SHAPES:
+        return none, shapes
+    places = [place(shape) for shape in shapes]
+    rest = tuple(shape for shape, found in zip(shapes, places, strict=True) if not found)
+    if not 0 < len(shapes) - len(rest) <= MOST_SPHERES:
+        return none, shapes
+    if any(shape.class_name() == "Instance" for shape in rest):
+        return none, shapes
+    if sum(shape.face_count() if shape.is_mesh() else 1 for shape in rest) > MOST_FACES:
+        return none, shapes
+    spheres = tuple(
+        _Sphere(shape, opaque(mi.ShapePtr, shape), *found)
+        for shape, found in zip(shapes, places, strict=True)
+        if found
+    )
+    return spheres, rest

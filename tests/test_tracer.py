@@ -8,9 +8,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from build import scene
+from build import ball, medium, scene
 
-from nonexp.integrators import tracer
+from nonexp.integrators import report, tracer
 from nonexp.integrators.offset import Offset
 from nonexp.integrators.subscene import Subscenes
 from nonexp.integrators.tracer import Tracer
@@ -145,3 +145,16 @@ def test_follows_a_sphere_that_moves() -> None:
     (sphere,) = Tracer.of(built, Subscenes()).spheres
     np.testing.assert_allclose(np.array(sphere.centre).ravel(), [0, 0, 5])
     np.testing.assert_allclose(np.array(sphere.radius), 2)
+
+
+def test_people_are_told() -> None:
+    def told(**parts: Any) -> dict[str, str]:
+        return {found.question: found.answer for found in report.findings(scene(**parts))}
+
+    assert told(**BALLS, **OTHERS)["spheres"] == "4 of 7 shapes"
+    assert told(**OTHERS)["spheres"] == "none"
+    through = "surfaces that let rays straight through"
+    alone = told(fog=ball(medium()), lamp=BALLS["lamp"])
+    assert alone[through] == "one sphere"
+    walked = told(fog=ball(medium()), mask={"type": "rectangle", "bsdf": {"type": "null"}})
+    assert walked[through] == "some"

@@ -43,7 +43,7 @@ class Budget:
     divide: int = 1
 
 
-FULL = Budget(25.0, 16, 256)
+FULL = Budget(15.0, 16, 256)
 QUICK = Budget(1.0, 8, 32, divide=2)
 
 
