@@ -8,7 +8,7 @@ help:
 	@echo 'make dragon     render scenes/dragon.xml to out/dragon.exr and out/dragon.png'
 	@echo 'make test       lint, types and tests'
 	@echo 'make test-slow  tests with full-size statistics'
-	@echo 'make bench      run time against error beside Mitsuba, into docs/benchmarks (30 minutes)'
+	@echo 'make bench      run time against error beside Mitsuba, into docs/benchmarks (13 minutes)'
 	@echo 'make lint       lint and types only'
 	@echo 'make docs       documentation, notebooks executed, in out/docs/docs/index.html'
 	@echo 'make gallery    pictures of all models, docs/gallery.md; goes on where it was stopped'
