@@ -8,6 +8,7 @@ from typing import Any
 import mitsuba as mi
 
 _KEPT = 4
+_PLACED = ("Sphere", "Cylinder", "Disk", "Rectangle")
 
 
 class Subscenes:
@@ -38,6 +39,11 @@ class Subscenes:
                 self._known.popitem(last=False)
         self._known.move_to_end(key)
         return self._known[key][0]
+
+
+def is_watched(shape: Any) -> bool:
+    """Whether a change of a shape's geometry is noticed here: others must not be used."""
+    return bool(shape.is_mesh()) or shape.class_name() in _PLACED
 
 
 def _state(shape: Any) -> tuple[Any, ...]:

@@ -15,7 +15,7 @@ import mitsuba as mi
 
 from .jit import opaque, recording
 from .sphere import place
-from .subscene import Subscenes
+from .subscene import Subscenes, is_watched
 
 MOST_SPHERES = 32
 
@@ -109,7 +109,7 @@ def told_apart(scene: mi.Scene) -> tuple[tuple[_Sphere, ...], tuple[Any, ...]]:
     rest = tuple(shape for shape, found in zip(shapes, places, strict=True) if not found)
     if not 0 < len(shapes) - len(rest) <= MOST_SPHERES:
         return none, shapes
-    if any(shape.class_name() == "Instance" for shape in rest):
+    if not all(is_watched(shape) for shape in rest):
         return none, shapes
     if sum(shape.face_count() if shape.is_mesh() else 1 for shape in rest) > MOST_FACES:
         return none, shapes

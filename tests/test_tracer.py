@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import drjit as dr
@@ -119,7 +120,7 @@ def test_rays_that_leave_a_sphere_do_not_meet_it_again(shift: float) -> None:
     assert np.max(error) < 0.05 and np.median(error) < 2e-3
 
 
-def test_only_where_it_pays(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_where_it_pays(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     def spheres(**parts: Any) -> int:
         return len(traced(**parts)[1].spheres)
 
@@ -133,6 +134,13 @@ def test_only_where_it_pays(monkeypatch: pytest.MonkeyPatch) -> None:
     group = {"type": "shapegroup", "ball": {"type": "sphere"}}
     copy = {"type": "instance", "group": {"type": "ref", "id": "group"}}
     assert spheres(group=group, copy=copy, lamp=BALLS["lamp"]) == 0
+    distances = np.linspace(-1, 1, 8, dtype=np.float32).reshape(2, 2, 2, 1)
+    grid = {"type": "sdfgrid", "grid": mi.TensorXf(distances)}
+    assert spheres(**BALLS, grid=grid) == 0
+    path = tmp_path / "curve.txt"
+    path.write_text("0 0 0 0.1\n0 1 0 0.1\n0 2 0 0.1\n1 3 0 0.1\n", encoding="utf-8")
+    for curve in ("linearcurve", "bsplinecurve"):
+        assert spheres(**BALLS, curve={"type": curve, "filename": str(path)}) == 0
     monkeypatch.setattr(tracer, "MOST_FACES", 13)  # cube, rectangle, and a cylinder counted as one
     assert spheres(**BALLS, **OTHERS) == 0
 
