@@ -16,9 +16,8 @@ import pytest
 from build import FURNACE, ball, medium, perspective, scene, stock
 from measure import assert_same, passes, radiance
 from test_refractive import glass, mesh_ball, round_ball, sky
-from test_scene_needs import traced
+from test_scene_needs import assert_can_be_frozen, traced
 
-from nonexp.integrators import tracer
 from nonexp.integrators.scene_needs import SceneNeeds
 
 GRID = 3
@@ -488,9 +487,7 @@ def test_the_kernel_holds_them_only_where_they_are_used() -> None:
 
 @pytest.mark.parametrize("shape", ["sphere", "mesh"])
 def test_a_render_can_be_frozen(shape: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Meshes are left to chance there: nothing to search in can be built while recording, and so
-    spheres are not told from other shapes."""
-    monkeypatch.setattr(tracer, "MOST_SPHERES", 0)
+    """Meshes are left to chance there: nothing to search in can be built while recording."""
     inside = fog("gamma")
     lobe = ball(inside, glass()) if shape == "sphere" else mesh_ball(glass(), interior=inside)
     parts = {"sensor": CAMERA, "lobe": lobe, "gold": thing(GOLD), "lamp": panel()}
@@ -498,14 +495,7 @@ def test_a_render_can_be_frozen(shape: str, monkeypatch: pytest.MonkeyPatch) -> 
     assert SceneNeeds.of(built).lobes
     integrator = {"type": "nonexp_volpath", "refractive_nee": "off"}
     right = built if shape == "sphere" else scene(integrator, **parts)
-
-    @dr.freeze
-    def frozen(built: Any, seed: mi.UInt32) -> mi.TensorXf:
-        return mi.render(built, spp=4, seed=seed)
-
-    for seed in range(3):
-        replayed = np.array(frozen(built, mi.UInt32(seed)))
-        np.testing.assert_array_equal(replayed, np.array(mi.render(right, spp=4, seed=seed)))
+    assert_can_be_frozen(built, right, monkeypatch)
 
 
 def slope(nee: str, key: str, parts: Parts, spp: int) -> Any:
