@@ -57,8 +57,8 @@ MAX_PASS_SAMPLES = 1 << 22
 
 # Dr.Jit adds samples to pixels in parallel. The sum is the same in every run if no two threads
 # share a pixel: with passes of a power of two that is so for large passes (the work is split in
-# multiples of 2^14 samples once there are more than 2^15 per thread) and for at most two SIMD
-# packets per pixel. The bounds hold for up to 64 threads and packets of 8 or more.
+# multiples of 2^14 samples from 2^15 per thread on) and for at most two SIMD packets per pixel.
+# The bounds hold for up to 64 threads and packets of 8 or more.
 _LARGE_PASS = 1 << 21
 _TWO_PACKETS = 16
 
@@ -98,7 +98,7 @@ def plan(spp: int | None, pixels: int) -> Plan:
     if not isinstance(spp, int) or spp < 1:
         raise ValueError(f"spp is {spp}: it must be a whole number >= 1")
     pass_spp = _power_of_two(min(spp // MIN_PASSES, MAX_PASS_SAMPLES // pixels))
-    if pixels * pass_spp <= _LARGE_PASS:
+    if pixels * pass_spp < _LARGE_PASS:
         pass_spp = min(pass_spp, _TWO_PACKETS)
     return Plan(-(-spp // pass_spp), pass_spp)
 
