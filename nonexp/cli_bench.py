@@ -29,8 +29,9 @@ def add(commands: Any) -> None:
         "bench",
         help="measure run time against error, beside Mitsuba's integrators",
         description="Measure run time against error of nonexp_volpath and of Mitsuba's integrators "
-        "on a set of scenes, and write results.json, results.md and plots. A full run takes half "
-        "an hour on 2 idle cores. Exit code 1 says that --compare found something worse.",
+        "on a set of scenes, and write results.json, results.md and plots. A full run takes a "
+        "quarter of an hour on 2 idle cores. Exit code 1 says that --compare found something "
+        "worse.",
     )
     bench.add_argument("--quick", action="store_true", help="3 minutes: fewer competitors, passes")
     bench.add_argument(

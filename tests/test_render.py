@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -115,6 +118,28 @@ def test_other_filters_repeat_to_rounding() -> None:
     target = scene(rfilter="gaussian")
     first, second = (rendering.render(target, spp=32, seed=3).mean for _ in range(2))
     np.testing.assert_allclose(second, first, atol=1e-5)
+
+
+def test_a_pass_launches_what_one_render_of_mitsuba_does(tmp_path: Path) -> None:
+    ball = scene(spp=1)
+    np.array(mi.render(ball, spp=2))
+
+    def launches(render: Callable[[], Any]) -> int:
+        with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
+            dr.kernel_history_clear()
+            render()
+            return len(dr.kernel_history())
+
+    once = launches(lambda: np.array(mi.render(ball, spp=2, seed=1)))
+    file = tmp_path / "checkpoint"
+
+    def passes(count: int, checkpoint: Path | None) -> int:
+        arguments = {"spp": 2 * count, "pass_spp": 2, "checkpoint": checkpoint, "resume": False}
+        return launches(lambda: nonexp.render(ball, **arguments))
+
+    few, many = passes(1, file), passes(9, file)
+    assert 1 < (many - few) / 8 <= once
+    assert passes(9, None) <= 9 * once
 
 
 def test_the_mean_is_the_mean_of_the_passes() -> None:
