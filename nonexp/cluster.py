@@ -19,7 +19,6 @@ import os
 import platform
 import re
 import shutil
-import sys
 import tempfile
 import threading
 import warnings
@@ -111,7 +110,6 @@ def _scene(archive: bytes, job: Job) -> Any:
     key = f"{name} {job.root} {sorted(job.parameters.items())} {job.size} {job.variant}"
     if key not in _loaded:
         folder = _unpack(archive, name)
-        _forget_modules(folder)
         mi.set_log_level(mi.LogLevel.Error)
         _loaded.clear()  # one scene at a time is enough
         _loaded[key] = scenefile.load(folder / job.root, job.parameters, job.size).scene
@@ -133,15 +131,6 @@ def _unpack(archive: bytes, name: str) -> Path:
         except OSError:  # another process was first
             shutil.rmtree(aside)
     return folder
-
-
-def _forget_modules(folder: Path) -> None:
-    """Let modules that lie beside the scene be imported anew, not taken from another scene."""
-    for path in folder.rglob("*.py"):
-        module = sys.modules.get(path.stem)
-        if module is not None and Path(getattr(module, "__file__", None) or "") != path:
-            del sys.modules[path.stem]
-    importlib.invalidate_caches()
 
 
 # --------------------------------------------------------------------- where the image is made

@@ -7,17 +7,16 @@ form that the model computes with, and tells the Mitsuba texture how to carry it
 from __future__ import annotations
 
 import dataclasses
-import importlib
 import math
 import os
 import re
-import sys
-import threading
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable
 from numbers import Real
 from typing import Any
 
 import drjit as dr
+
+from .functions import load_function
 
 __all__ = [
     "Kind",
@@ -26,7 +25,6 @@ __all__ = [
     "describe",
     "function",
     "kind_of",
-    "load_function",
     "number",
     "parameter",
     "text",
@@ -267,34 +265,6 @@ def check(
 def number(value: Any) -> float:
     """The number in a Python float or in an array of width 1, without its derivatives."""
     return float(_single(value))
-
-
-_import_lock = threading.Lock()
-
-
-def load_function(label: str, name: Any, folders: Sequence[str] = ()) -> Callable[..., Any]:
-    """The function that ``module:function`` names; the module may also lie in one of ``folders``.
-
-    Raises ``ValueError`` when there is none. Importing a module runs it.
-    """
-    words = "a function, or a string module:function"
-    if not isinstance(name, str) or not re.fullmatch(r"[\w.]+:[\w.]+", name):
-        raise ValueError(f"{label} is {name!r}: it must be {words}")
-    module_name, _, path = name.partition(":")
-    with _import_lock:
-        before = list(sys.path)
-        sys.path[:0] = [folder for folder in folders if folder not in before]
-        try:
-            found: Any = importlib.import_module(module_name)
-        except ImportError as error:
-            raise ValueError(f"{label} is {name!r}: {error}") from error
-        finally:
-            sys.path[:] = before
-    for part in path.split("."):
-        found = getattr(found, part, None)
-    if not callable(found):
-        raise ValueError(f"{label} is {name!r}: module {module_name} has no function {path}")
-    return found
 
 
 # --------------------------------------------------------------------------------------------------

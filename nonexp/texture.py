@@ -12,6 +12,7 @@ import drjit as dr
 import mitsuba as mi
 
 from nonexp import models, parameters
+from nonexp.functions import load_function
 from nonexp.tables import tables_in
 from nonexp.transmittance import Transmittance
 
@@ -90,7 +91,7 @@ class TransmittanceTexture(mi.Texture):
                 value = self._fixed[name] = str(mi.file_resolver().resolve(value))
             elif isinstance(kind, parameters.Function):
                 label = f"{models.registry[self.key].__name__}.{name}"
-                value = self._fixed[name] = parameters.load_function(label, value, folders)
+                value = self._fixed[name] = load_function(label, value, folders)
             given[name] = value
         if nested in self._components:
             given[nested] = [texture.model for texture in self._components[nested]]

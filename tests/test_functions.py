@@ -1,0 +1,126 @@
+"""Functions that scenes name: which module is imported, and what is left of the import."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import mitsuba as mi
+import pytest
+
+import nonexp
+from nonexp import functions
+from nonexp.functions import load_function
+
+
+@pytest.fixture(autouse=True)
+def modules_and_path() -> Iterator[None]:
+    """Modules of these tests go again."""
+    before, path = set(sys.modules), list(sys.path)
+    yield
+    assert sys.path == path
+    for name in set(sys.modules) - before:
+        del sys.modules[name]
+    functions._imported.clear()
+
+
+def write(folder: Path, value: str, name: str = "a_law") -> str:
+    """A module whose function ``f`` returns a value; the folder's name."""
+    folder.mkdir(exist_ok=True)
+    (folder / f"{name}.py").write_text(f"def f():\n    return {value}\n", encoding="utf-8")
+    return str(folder)
+
+
+def test_two_folders_can_have_modules_of_the_same_name(tmp_path: Path) -> None:
+    one, two = write(tmp_path / "one", "1"), write(tmp_path / "two", "2")
+    first, second = load_function("x", "a_law:f", [one]), load_function("x", "a_law:f", [two])
+    assert (first(), second()) == (1, 2)
+    assert load_function("x", "a_law:f", [one]) is first  # not run again
+    assert load_function("x", "a_law:f", [two]) is second
+    assert load_function("x", "a_law:f", [str(tmp_path), two, one]) is second
+
+
+def test_a_module_is_imported_anew_when_it_has_changed(tmp_path: Path) -> None:
+    for value in range(1, 9):  # of the same size, within a second
+        folder = write(tmp_path, str(value))
+        assert load_function("x", "a_law:f", [folder])() == value
+    assert not (tmp_path / "__pycache__").exists()
+
+
+def test_modules_that_it_imports_lie_beside_it_too(tmp_path: Path) -> None:
+    for name in ("one", "two"):
+        write(tmp_path / name, repr(name), "a_helper")
+        (tmp_path / name / "a_law.py").write_text("from a_helper import f\n", encoding="utf-8")
+    for name in ("one", "two", "one"):
+        assert load_function("x", "a_law:f", [str(tmp_path / name)])() == name
+    write(tmp_path / "one", "'new'", "a_helper")
+    assert load_function("x", "a_law:f", [str(tmp_path / "one")])() == "new"
+
+
+def test_modules_of_others_stay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    elsewhere, beside = write(tmp_path / "elsewhere", "1"), write(tmp_path / "beside", "2")
+    with monkeypatch.context() as patch:
+        patch.syspath_prepend(elsewhere)
+        theirs: Any = importlib.import_module("a_law")
+    assert load_function("x", "a_law:f", [beside])() == 2
+    assert sys.modules["a_law"] is theirs
+    # What they imported from there is not run a second time, and not behind their back.
+    write(tmp_path / "elsewhere", "10")
+    assert load_function("x", "a_law:f", [elsewhere]) is theirs.f
+
+
+def test_a_folder_does_not_hide_a_package(tmp_path: Path) -> None:
+    package = tmp_path / "nonexp"
+    package.mkdir()
+    (package / "__init__.py").write_text("", encoding="utf-8")
+    assert load_function("x", "nonexp.models.custom:wigner", [str(tmp_path)])
+    assert sys.modules["nonexp"] is nonexp
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("def f(:", "module a_law fails with SyntaxError: .*a_law.py, line 1"),
+        ("1 / 0", "module a_law fails with ZeroDivisionError: division by zero"),
+        ("import no_such_module", "No module named 'no_such_module'"),
+        ("g = 1", "module a_law has no function f"),
+    ],
+)
+def test_what_is_wrong_with_a_module_is_one_sentence(
+    tmp_path: Path, text: str, message: str
+) -> None:
+    (tmp_path / "a_law.py").write_text(text, encoding="utf-8")
+    with pytest.raises(ValueError, match=f"Custom.ff is 'a_law:f': {message}"):
+        load_function("Custom.ff", "a_law:f", [str(tmp_path)])
+    write(tmp_path, "5")
+    assert load_function("Custom.ff", "a_law:f", [str(tmp_path)])() == 5
+
+
+def test_two_scenes_have_each_their_law(tmp_path: Path) -> None:
+    mi.set_variant("llvm_ad_rgb")
+    laws = []
+    for rate in (1, 2):
+        folder = tmp_path / str(rate)
+        folder.mkdir()
+        (folder / "a_law.py").write_text(
+            f"import drjit as dr\n\ndef law(tau):\n    return dr.exp(-{rate} * tau)\n",
+            encoding="utf-8",
+        )
+        (folder / "scene.xml").write_text(
+            """<scene version="3.0.0">
+                <medium type="nonexp_homogeneous" id="fog">
+                    <texture type="transmittance_custom" name="transmittance">
+                        <string name="ff" value="a_law:law"/>
+                    </texture>
+                </medium>
+                <shape type="sphere"><ref id="fog" name="interior"/></shape>
+            </scene>""",
+            encoding="utf-8",
+        )
+        scene = mi.load_file(str(folder / "scene.xml"))
+        laws.append(scene.shapes()[0].interior_medium().model)
+    for rate, law in zip((1, 2), laws, strict=True):
+        assert float(law.ff(mi.Float(0.5))[0]) == pytest.approx(2.718281828 ** (-0.5 * rate))
