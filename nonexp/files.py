@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-__all__ = ["check_writable", "remove_leftovers", "replacing", "sync_folder"]
+__all__ = ["check_writable", "remove_leftovers", "replacing", "sync_folder", "write_text"]
 
 
 @contextlib.contextmanager
@@ -34,6 +34,13 @@ def replacing(*targets: Path, backup: Path | None = None) -> Iterator[tuple[Path
     finally:
         for path in aside:
             path.unlink(missing_ok=True)
+
+
+def write_text(path: Path, text: str) -> Path:
+    """Write or replace a text file (UTF-8); the path."""
+    with replacing(path) as (aside,):
+        aside.write_text(text, encoding="utf-8")
+    return path
 
 
 def check_writable(path: Path, *beside: Path) -> None:

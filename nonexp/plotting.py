@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["check", "plot_fit", "plot_model", "require", "save"]
+__all__ = ["STYLE", "check", "plot_fit", "plot_model", "require", "save"]
 
 Array = npt.NDArray[np.float64]
 
@@ -30,7 +30,7 @@ BLUE, ORANGE, GREEN, PURPLE, GREY = "#0072B2", "#D55E00", "#009E73", "#CC79A7", 
 _COLOURS = (ORANGE, BLUE, GREEN, PURPLE, "#E69F00", "#56B4E9")
 _STYLES = ("-", "--", "-.", ":")
 _SUFFIXES = (".png", ".svg", ".pdf")
-_RC: dict[Any, Any] = {
+STYLE: dict[Any, Any] = {
     "font.size": 9.0,
     "axes.titlesize": 10.0,
     "axes.spines.top": False,
@@ -88,7 +88,7 @@ def plot_model(model: Transmittance, *, draws: int = 2**19, seed: int = 0) -> Fi
     from matplotlib.figure import Figure
 
     law = _Law(model)
-    with matplotlib.rc_context(_RC):
+    with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(9.6, 6.8), layout="constrained")
         figure.suptitle(f"{_title(model)}\n{_formula(model)}", fontsize=10.5)
         (linear, logarithmic), (first, later) = figure.subplots(2, 2)
@@ -257,7 +257,7 @@ def plot_fit(fits: Sequence[Fit], tau: Any, ff: Any, sigma: Any = None) -> Figur
 
     x, y = np.asarray(tau, dtype=np.float64), np.asarray(ff, dtype=np.float64)
     bars = None if sigma is None else np.broadcast_to(np.asarray(sigma, dtype=np.float64), x.shape)
-    with matplotlib.rc_context(_RC):
+    with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(7.2, 5.8), layout="constrained")
         upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
         many = len(x) > 200

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from scipy import stats
 
+from .. import plotting
 from ..files import replacing
 from .competitors import COMPETITORS
 from .results import CaseResult, Results, Row
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 _Panel = tuple[str, Callable[[Any], None]]
 
 __all__ = [
-    "RC",
+    "STYLE",
     "colour",
     "efficiency_plot",
     "error_plot",
@@ -31,17 +32,7 @@ __all__ = [
     "summary",
 ]
 
-RC: dict[Any, Any] = {
-    "font.size": 8.5,
-    "axes.titlesize": 9.5,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "grid.color": "0.9",
-    "axes.axisbelow": True,
-    "legend.frameon": False,
-    "lines.linewidth": 1.5,
-}
+STYLE = {**plotting.STYLE, "font.size": 8.5, "axes.titlesize": 9.5, "lines.linewidth": 1.5}
 
 # Okabe and Ito's colours, which colour-blind people can tell apart.
 _COLOURS = (
@@ -276,7 +267,7 @@ def _draw(panels: list[_Panel], path: Path, title: str) -> bool:
         return False
     columns = min(3, len(panels))
     rows = -(-len(panels) // columns)
-    with matplotlib.rc_context(RC):
+    with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(4.2 * columns, 3.1 * rows + 0.4), layout="constrained")
         figure.suptitle(title, fontsize=10)
         axes = figure.subplots(rows, columns, squeeze=False)

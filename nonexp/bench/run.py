@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from ..files import replacing
+from ..files import write_text
 from . import measure, references, report, results
 from .competitors import BASELINES, competing
 from .results import CaseResult, Results
@@ -70,9 +70,7 @@ def write(done: Results, folder: Path) -> list[Path]:
     folder.mkdir(parents=True, exist_ok=True)
     written = []
     for name, text in (("results.json", done.to_json()), ("results.md", report.markdown(done))):
-        with replacing(folder / name) as (aside,):
-            aside.write_text(text, encoding="utf-8")
-        written.append(folder / name)
+        written.append(write_text(folder / name, text))
     try:
         import matplotlib  # noqa: F401
     except ImportError:

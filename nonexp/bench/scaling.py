@@ -13,7 +13,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from ..files import replacing
+from ..files import replacing, write_text
 from . import measure, report
 from .scenes import Filling, ball, camera, lit
 from .worker import Worker
@@ -216,16 +216,14 @@ def write(samples: Sequence[Sample], environment: dict[str, Any], folder: Path) 
     text = "# How the cost grows\n\n" + "\n".join(f"* {line}" for line in sentences(samples)) + "\n"
     written = []
     for name, content in (("scaling.json", json.dumps(data, indent=1)), ("scaling.md", text)):
-        with replacing(folder / name) as (aside,):
-            aside.write_text(content, encoding="utf-8")
-        written.append(folder / name)
+        written.append(write_text(folder / name, content))
     try:
         import matplotlib
         from matplotlib.figure import Figure
     except ImportError:
         return written
     shown = [axis for axis in AXES if any(sample.axis == axis.name for sample in samples)]
-    with matplotlib.rc_context(report.RC):
+    with matplotlib.rc_context(report.STYLE):
         figure = Figure(figsize=(3.2 * len(shown), 5), layout="constrained")
         places = figure.subplots(2, len(shown), squeeze=False)
         for column, axis in enumerate(shown):
