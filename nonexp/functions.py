@@ -15,7 +15,7 @@ from typing import Any
 __all__ = ["load_function"]
 
 _Files = dict[str, tuple[int, int]]  # names of modules: time of change and size
-_lock = threading.Lock()
+_lock = threading.RLock()  # a module may make models of such functions itself
 _imported: dict[Path, tuple[_Files, dict[str, ModuleType]]] = {}
 """by folder: its files at the time, and the modules that were imported from there"""
 

@@ -58,6 +58,7 @@ def load(
     core.set_file_resolver(_with_folder(resolver, path.parent))
     try:
         config = mi.parser.ParserConfig(mi.variant() or "")
+        config.merge_meshes = False
         state: Any = mi.parser.parse_file(config, str(path), **parameters)
         if state.root.type != mi.ObjectType.Scene:
             raise SceneError(
@@ -72,6 +73,7 @@ def load(
             if node.type == mi.ObjectType.Integrator
         )
         mi.parser.transform_all(config, state)
+        _merge_meshes(state)
         scene: Any = mi.parser.instantiate(config, state)
     except SceneError:
         raise
@@ -116,6 +118,43 @@ def _resize_film(film: Any, size: tuple[int, int]) -> None:
             film[crop] = max(1, film[crop] * size[axis] // before[axis])
         if offset in film:
             film[offset] = min(film[offset] * size[axis] // before[axis], size[axis] - 1)
+
+
+def _merge_meshes(state: Any) -> None:
+    """Make one of the meshes that agree in all but their vertices: 2000 render twice as fast.
+
+    Mitsuba would do that itself, but leaves shapes, and the lights among them, in an order that
+    differs from one loading to the next, and so do the images. Here lights stay as they are.
+    """
+    nodes, root = state.nodes, state.root.props
+    alike: dict[Any, list[str]] = {}
+    for name in root.keys():
+        if root.type(name) != mi.Properties.Type.ResolvedReference:
+            continue
+        props = nodes[root[name].index()].props
+        if props.plugin_name() not in ("cube", "obj", "ply", "rectangle", "serialized"):
+            continue
+        held = sorted(
+            (str(nodes[props[child].index()].type), props[child].index(), child)
+            for child in props.keys()
+            if props.type(child) == mi.Properties.Type.ResolvedReference
+        )
+        kinds = {kind for kind, _, _ in held}
+        if kinds <= {str(mi.ObjectType.BSDF), str(mi.ObjectType.Medium)}:
+            medium = str(mi.ObjectType.Medium)
+            shared = tuple((kind, i, child if kind == medium else "") for kind, i, child in held)
+            key = (props.plugin_name(), props.get("face_normals", False), shared)
+            alike.setdefault(key, []).append(name)
+    for number, names in enumerate(alike.values()):
+        if len(names) > 1:
+            merged = mi.parser.SceneNode()
+            merged.type = mi.ObjectType.Shape
+            merged.props = mi.Properties("merge")
+            for name in names:
+                merged.props[name] = mi.Properties.ResolvedReference(root[name].index())
+                del root[name]
+            nodes.append(merged)
+            root[f"merged_meshes_{number}"] = mi.Properties.ResolvedReference(len(nodes) - 1)
 
 
 def _children(props: Any) -> set[int]:

@@ -10,7 +10,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from nonexp import scenefile, scenefiles, scenewalk
+from nonexp import scenefile, scenefiles, sceneid, scenewalk
 
 SCENES = Path(__file__).resolve().parent.parent / "scenes"
 
@@ -166,3 +166,42 @@ def test_media_are_found_wherever_they_hang() -> None:
     loaded = scenefile.LoadedScene(only_instances, ("volpath",))
     assert loaded.exponential_counterpart() == "volpath"
     assert scenefile.LoadedScene(built, ("nonexp_volpath",)).exponential_counterpart() is None
+
+
+def test_a_scene_is_the_same_each_time_and_its_meshes_are_few(tmp_path: Path) -> None:
+    """Shapes and lights in one order: it decides which random number finds which light."""
+    mi.set_variant("llvm_ad_rgb")
+    cube = '<shape type="cube" id="{id}"><transform name="to_world"><scale value="0.1"/>{move}'
+    cube += "</transform>{rest}</shape>"
+    shapes = []
+    for i in range(40):
+        light = f'<emitter type="area"><rgb name="radiance" value="{1 + i}"/></emitter>'
+        rest = light if i % 8 == 0 else f'<ref id="b{i % 2}"/>'
+        move = f'<translate x="{i % 7 - 3}" y="{i // 7 - 3}"/>'
+        shapes.append(cube.format(id=f"cube{i}", move=move, rest=rest))
+    path = tmp_path / "scene.xml"
+    path.write_text(
+        """<scene version="3.0.0">
+            <integrator type="path"><integer name="max_depth" value="3"/></integrator>
+            <sensor type="perspective">
+                <transform name="to_world">
+                    <lookat origin="0, 0, 9" target="0, 0, 0" up="0, 1, 0"/>
+                </transform>
+            </sensor>
+            <bsdf type="diffuse" id="b0"/>
+            <bsdf type="diffuse" id="b1"><rgb name="reflectance" value="0.2"/></bsdf>"""
+        + "".join(shapes)
+        + "</scene>",
+        encoding="utf-8",
+    )
+    orders, identities, images = set(), set(), set()
+    for _ in range(6):
+        scene = scenefile.load(path, {}, (16, 12)).scene
+        assert len(scene.shapes()) == 5 + 2
+        orders.add(tuple(shape.id() for shape in scene.shapes()))
+        identities.add(sceneid.digest(sceneid.of_scene(scene)))
+        images.add(np.array(mi.render(scene, spp=4)).tobytes())
+    assert len(orders) == len(identities) == len(images) == 1
+    plain = mi.load_file(str(path), optimize=False)
+    plain_faces = sum(shape.face_count() for shape in plain.shapes())
+    assert sum(shape.face_count() for shape in scene.shapes()) == plain_faces
