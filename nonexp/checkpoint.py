@@ -121,7 +121,7 @@ def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
         old, new = before.get(name), now.get(name)
         if old == new:
             continue
-        if isinstance(old or new, Mapping):
+        if all(isinstance(value, Mapping | None) for value in (old, new)):
             label = name.removesuffix("s")
             for key in dict.fromkeys((*(old or {}), *(new or {}))):
                 phrases += _difference(f"{label} {key}", (old or {}).get(key), (new or {}).get(key))

@@ -179,12 +179,14 @@ class Cluster:
 
     def _result(self, future: Any) -> Any:
         """What a task gives, however long it takes; tells where there are no workers."""
-        from distributed import KilledWorker, TimeoutError
+        from distributed import CancelledError, KilledWorker, TimeoutError
 
         told = False
         while True:
             try:
                 return future.result(timeout=2)
+            except CancelledError:  # by nobody but a client that lost its scheduler
+                raise RuntimeError("the scheduler cannot be reached any more") from None
             except TimeoutError:
                 if self._client.status not in ("running", "connecting"):
                     raise RuntimeError("the scheduler cannot be reached any more") from None

@@ -165,7 +165,8 @@ def _test(a: Picture, b: Picture, variance: Array, level: float) -> BlockTest:
 def _deviations(difference: Array, variance: Array, rounding: Array, spread: Array) -> Array:
     """|difference| in standard errors; as normal variables that are as improbable as these."""
     raw = np.abs(difference) / np.maximum(np.sqrt(variance + np.square(rounding)), 1e-300)
-    freedom = np.square(variance) / np.maximum(spread, 1e-300)
+    known = spread == 0  # not estimated from passes: there is no noise
+    freedom = np.where(known, 1e9, np.square(variance) / np.where(known, 1, spread))
     p = stats.t.sf(raw, np.clip(freedom, 1, 1e9))
     return np.where(p > 1e-300, stats.norm.isf(np.maximum(p, 1e-300)), raw)
 

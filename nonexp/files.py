@@ -11,6 +11,8 @@ from pathlib import Path
 
 __all__ = ["check_writable", "remove_leftovers", "replacing", "sync_folder", "write_text"]
 
+_RUN = os.urandom(4).hex()  # in a container every run may have the same number of process
+
 
 @contextlib.contextmanager
 def replacing(*targets: Path, backup: Path | None = None) -> Iterator[tuple[Path, ...]]:
@@ -68,15 +70,17 @@ def check_writable(path: Path, *beside: Path) -> None:
 def remove_leftovers(*targets: Path) -> None:
     """Remove what runs that were killed have left beside ``targets``, more than a minute ago."""
     for target in targets:
-        for path in target.parent.glob(f".{glob.escape(target.name)}.*.part"):
-            pid = path.suffixes[-2][1:]
+        for path in target.parent.glob(f".{glob.escape(target.name)}.*.*.part"):
+            pid, run = path.name.split(".")[-3:-1]
             with contextlib.suppress(OSError):
-                if time.time() - path.stat().st_mtime > 60 and not _is_running(pid):
+                if time.time() - path.stat().st_mtime > 60 and not _is_running(pid, run):
                     path.unlink()
 
 
-def _is_running(pid: str) -> bool:
+def _is_running(pid: str, run: str) -> bool:
     try:
+        if int(pid) == os.getpid():
+            return run == _RUN
         os.kill(int(pid), 0)
     except ValueError:
         return True  # not one of ours
@@ -100,4 +104,4 @@ def _sync(path: Path, flags: int) -> None:
 
 
 def _aside(path: Path) -> Path:
-    return path.with_name(f".{path.name}.{os.getpid()}.part")
+    return path.with_name(f".{path.name}.{os.getpid()}.{_RUN}.part")

@@ -54,7 +54,7 @@ def load_function(label: str, name: Any, folders: Sequence[str] = ()) -> Callabl
 def _import(module: str, folders: Sequence[Path]) -> ModuleType:
     """Import a module, looked for in the folders first."""
     path, writes = list(sys.path), sys.dont_write_bytecode
-    sys.path[:0] = [str(folder) for folder in folders if str(folder) not in path]
+    sys.path[:0] = [str(folder) for folder in folders]
     sys.dont_write_bytecode = True  # it would hide changes within a second
     try:
         importlib.invalidate_caches()
@@ -99,5 +99,5 @@ def _state(path: Path) -> tuple[int, int]:
 
 
 def _lies_in(module: ModuleType, folder: Path) -> bool:
-    file = getattr(module, "__file__", None)
-    return file is not None and Path(os.path.realpath(file)).parent == folder
+    file = getattr(module, "__file__", None)  # may be a link, of another folder's file
+    return file is not None and Path(os.path.realpath(os.path.dirname(file))) == folder

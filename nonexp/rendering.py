@@ -17,6 +17,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import itertools
+import json
 import math
 import warnings
 from collections.abc import Callable, Generator, Iterator, Mapping
@@ -342,11 +343,21 @@ def identity_of(
     scene: mi.Scene, sensor: int, seed: int, identity: Mapping[str, Any] | None
 ) -> dict[str, Any]:
     """What has to be the same for a render to go on: the scene's, and what it is rendered with."""
-    width, height = scene.sensors()[sensor].film().crop_size()
+    film = scene.sensors()[sensor].film()
+    own = sceneid.of_scene(scene) if identity is None else identity
+    try:
+        own = json.loads(json.dumps(own))  # as it will be read again
+    except (TypeError, ValueError) as error:
+        raise ValueError(
+            f"identity is {identity!r}: it must be what JSON can hold ({error})"
+        ) from None
+    size, crop, offset = (list(v) for v in (film.size(), film.crop_size(), film.crop_offset()))
+    window = {} if crop == size else {"crop": f"{crop[0]}x{crop[1]} at {offset[0]}, {offset[1]}"}
     return {
-        **(sceneid.of_scene(scene) if identity is None else identity),
+        **own,
+        **window,
         "variant": mi.variant(),
-        "size": [width, height],
+        "size": size,
         "sensor": sensor,
         "seed": seed,
         "versions": sceneid.versions(),

@@ -84,6 +84,11 @@ def load(
 
     if not scene.sensors():
         raise SceneError(f"scene file {str(path)!r} has no sensor: add a <sensor> to render from")
+    if not integrators:
+        raise SceneError(
+            f"scene file {str(path)!r} has no integrator: add one, such as "
+            '<integrator type="nonexp_volpath"/>'
+        )
     return LoadedScene(scene, integrators)
 
 
