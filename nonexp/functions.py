@@ -2,30 +2,34 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import os
 import re
 import sys
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from modulefinder import ModuleFinder
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-__all__ = ["load_function"]
+__all__ = ["files", "load_function"]
 
-_Files = dict[str, tuple[int, int]]  # names of modules: time of change and size
 _lock = threading.RLock()  # a module may make models of such functions itself
-_imported: dict[Path, tuple[_Files, dict[str, ModuleType]]] = {}
-"""by folder: its files at the time, and the modules that were imported from there"""
+_imported: dict[Path, dict[str, ModuleType]] = {}
+"""by folder: the modules that were imported from there"""
+_states: dict[ModuleType, tuple[int, int]] = {}
+"""time of change and size of their files when they were"""
 
 
 def load_function(label: str, name: Any, folders: Sequence[str] = ()) -> Callable[..., Any]:
     """The function that ``module:function`` names; the module may also lie in one of ``folders``.
 
-    A file ``module.py`` in one of the folders comes before any other module of its name, and is
-    imported anew when a Python file of the folder has changed: two scenes can have modules of the
-    same name, and a scene that is loaded again finds its law as it is now.
+    A module in one of the folders comes before any other of its name, and is imported anew when it
+    has changed, or one that it imports from there: two scenes can have modules of the same name,
+    and a scene that is loaded again finds its law as it is now. Packages that the program has
+    imported itself are not replaced.
 
     Raises ``ValueError`` when there is none. Importing a module runs it.
     """
@@ -34,7 +38,7 @@ def load_function(label: str, name: Any, folders: Sequence[str] = ()) -> Callabl
         raise ValueError(f"{label} is {name!r}: it must be {words}")
     module, _, path = name.partition(":")
     beside = [folder.resolve() for folder in map(Path, folders)]
-    home = next((folder for folder in beside if (folder / f"{module}.py").is_file()), None)
+    home = _home(module, beside)
     try:
         with _lock:
             found: Any = _import(module, beside) if home is None else _import_from(home, module)
@@ -51,6 +55,27 @@ def load_function(label: str, name: Any, folders: Sequence[str] = ()) -> Callabl
     return found
 
 
+def files(module: str, folders: Iterable[Path]) -> list[Path]:
+    """The files that a module in one of the folders is made of: it, and what it imports there.
+
+    Finds the imports by reading, without running them; none for a module of elsewhere.
+    """
+    beside = [folder.resolve() for folder in folders]
+    if (home := _home(module, beside)) is None:
+        return []
+    finder = ModuleFinder([str(home)])
+    with contextlib.suppress(ImportError, SyntaxError):  # told when it is imported
+        finder.import_hook(module)
+    named: list[Any] = [getattr(found, "__file__", None) for found in finder.modules.values()]
+    path = home / module.replace(".", "/")
+    named += [file for file in (path.with_suffix(".py"), path / "__init__.py") if file.is_file()]
+    return sorted({Path(name).resolve() for name in named if name})
+
+
+def _home(module: str, folders: Iterable[Path]) -> Path | None:
+    return next((folder for folder in folders if _holds(folder, module)), None)
+
+
 def _import(module: str, folders: Sequence[Path]) -> ModuleType:
     """Import a module, looked for in the folders first."""
     path, writes = list(sys.path), sys.dont_write_bytecode
@@ -63,23 +88,32 @@ def _import(module: str, folders: Sequence[Path]) -> ModuleType:
         sys.path[:], sys.dont_write_bytecode = path, writes
 
 
+def _holds(folder: Path, module: str) -> bool:
+    """Whether a module is a file of the folder, or of a package in it that is free to import."""
+    if (folder / f"{module}.py").is_file():
+        return True
+    top = module.partition(".")[0]
+    taken = top in sys.modules and not any(top in names for names in _imported.values())
+    return not taken and (folder / top / "__init__.py").is_file()
+
+
 def _import_from(folder: Path, module: str) -> ModuleType:
     """Import a module that lies in the folder, as it is now.
 
-    Modules of other folders that are in the way (of its name, or imported by scenes of theirs) step
-    aside meanwhile. What somebody else imported from this folder is taken as it is.
+    Modules of its name, and those that were imported for other folders, step aside meanwhile. What
+    somebody else imported from this folder is taken as it is.
     """
-    files = {path.stem: _state(path) for path in folder.glob("*.py") if path.is_file()}
-    then, ours = _imported.get(folder, (files, {}))
-    if then != files:
+    ours = _imported.get(folder, {})
+    if any(_state(old) != _states[old] for old in ours.values()):
         for name, old in ours.items():
+            del _states[old]
             if sys.modules.get(name) is old:
                 del sys.modules[name]
         ours = {}
-    others = {name for _, modules in _imported.values() for name in modules}
+    others = {name for home, names in _imported.items() if home != folder for name in names}
     aside = {
         name: sys.modules.pop(name)
-        for name in (others | {module}) & files.keys() & sys.modules.keys()
+        for name in (others | {module}) & sys.modules.keys()
         if not _lies_in(sys.modules[name], folder)
     }
     sys.modules.update(ours)
@@ -87,17 +121,28 @@ def _import_from(folder: Path, module: str) -> ModuleType:
     try:
         return _import(module, [folder])
     finally:
-        new = files.keys() & sys.modules.keys() - before
-        ours |= {name: sys.modules[name] for name in new if _lies_in(sys.modules[name], folder)}
-        _imported[folder] = files, ours
+        for name in sys.modules.keys() - before:
+            new = sys.modules[name]
+            if name.partition(".")[0] not in before and _lies_in(new, folder):
+                ours[name] = new
+                _states[new] = _state(new)
+        _imported[folder] = ours
         sys.modules.update(aside)
 
 
-def _state(path: Path) -> tuple[int, int]:
-    status = path.stat()
+def _state(module: ModuleType) -> tuple[int, int]:
+    """Time of change and size of a module's file; zeros where it is gone."""
+    try:
+        status = os.stat(str(module.__file__))
+    except OSError:
+        return 0, 0
     return status.st_mtime_ns, status.st_size
 
 
 def _lies_in(module: ModuleType, folder: Path) -> bool:
-    file = getattr(module, "__file__", None)  # may be a link, of another folder's file
-    return file is not None and Path(os.path.realpath(os.path.dirname(file))) == folder
+    """Whether a module's file is in the folder or in a package of it; it may be a link there."""
+    file = getattr(module, "__file__", None)
+    if file is None:
+        return False
+    home = Path(os.path.realpath(os.path.dirname(file)))
+    return "site-packages" not in home.parts and (home == folder or folder in home.parents)

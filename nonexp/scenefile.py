@@ -14,7 +14,15 @@ import mitsuba as mi
 
 from . import models, scenewalk
 
-__all__ = ["LoadedScene", "SceneError", "elements", "explain", "load", "substituted"]
+__all__ = [
+    "LoadedScene",
+    "SceneError",
+    "elements",
+    "explain",
+    "load",
+    "search_folders",
+    "substituted",
+]
 
 
 class SceneError(ValueError):
@@ -170,23 +178,43 @@ def _children(props: Any) -> set[int]:
 # --------------------------------------------------------------------- parameters of a file
 
 
-def elements(path: Path, values: dict[str, str]) -> Iterator[tuple[Path, ET.Element]]:
+def elements(
+    path: Path, values: dict[str, str], folders: list[Path] | None = None
+) -> Iterator[tuple[Path, ET.Element]]:
     """Every element of a scene file and of those that it includes, with the file it stands in.
 
-    ``values`` are the parameters given; the defaults met on the way join them. Raises
+    ``values`` are the parameters given; the defaults met on the way join them, and the folders of
+    ``<path>`` elements join ``folders``, where files are looked for, in front. Raises
     :class:`SceneError` for an include that does not exist, ``ET.ParseError`` for what is not XML.
     """
+    if folders is None:
+        folders = search_folders(path)
     for element in ET.parse(path).iter():
-        if element.tag == "default" and "name" in element.attrib:
-            values.setdefault(element.attrib["name"], element.attrib.get("value", ""))
+        text = {name: substituted(value, values) for name, value in element.attrib.items()}
+        if element.tag == "default" and "name" in text:
+            values.setdefault(text["name"], text.get("value", ""))
         yield path, element
+        if element.tag == "path" and "value" in text:
+            places = (path.parent, *folders)
+            found = (folder / text["value"] for folder in places)
+            folders[:0] = [next((place for place in found if place.is_dir()), path.parent)]
         if element.tag == "include" and "filename" in element.attrib:
-            yield from elements(_included(path, element.attrib["filename"], values), values)
+            included = _included(path, element.attrib["filename"], values, folders)
+            yield from elements(included, values, folders)
+
+
+def search_folders(path: Path) -> list[Path]:
+    """Where Mitsuba looks for the files of a scene file: its own folder, then the usual ones."""
+    return [path.parent, *(Path(str(folder)) for folder in mi.file_resolver())]
 
 
 def substituted(text: str, values: Mapping[str, str]) -> str:
-    """``text`` with ``$name`` replaced by the value of that parameter."""
-    return re.sub(r"\$(\w+)", lambda match: values.get(match[1], match[0]), text)
+    """``text`` with ``$name`` replaced by the value of that parameter, long names first."""
+    for name in sorted(values, key=len, reverse=True):
+        if f"${name}" in text:
+            literal = values[name].replace("\\", r"\\")
+            text = re.sub(rf"(?<!\\)\${re.escape(name)}", literal, text)
+    return text
 
 
 def _parameters(path: Path, values: dict[str, str]) -> set[str]:
@@ -208,12 +236,14 @@ def _parameters(path: Path, values: dict[str, str]) -> set[str]:
     return names
 
 
-def _included(path: Path, filename: str, values: Mapping[str, str]) -> Path:
+def _included(path: Path, filename: str, values: Mapping[str, str], folders: list[Path]) -> Path:
     """File that an ``<include>`` names. Raises :class:`SceneError` if it does not exist."""
     used = [name for name in re.findall(r"\$(\w+)", filename) if name in values]
-    target = path.parent / substituted(filename, values)
-    if target.is_file():
-        return target
+    name = substituted(filename, values)
+    for folder in (path.parent, *folders):
+        if (folder / name).is_file():
+            return folder / name
+    target = path.parent / name
     files = sorted(file.stem for file in target.parent.glob(f"*{target.suffix}") if file.is_file())
     allowed = f"it must be one of {', '.join(files)}" if files else "that folder has no scene files"
     folder = target.parent

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from . import scenefile
+from . import functions, scenefile
 
 __all__ = ["SceneFiles", "collect"]
 
@@ -65,32 +65,32 @@ def collect(path: Path, parameters: Mapping[str, str]) -> SceneFiles:
     """The files of a scene, with parameters as for :func:`nonexp.scenefile.load`.
 
     Every value in the scene file, and in those that it includes, that is the name of a file counts
-    as a reference to it; so does ``module:function``, where the module lies beside the scene file.
+    as a reference to it; so does ``module:function``, where the module lies beside the scene file,
+    to that and to what it imports from there.
     """
     root = path.resolve()
     values = dict(parameters)
-    folders = [root.parent]
+    folders = scenefile.search_folders(root)
     found: dict[Path, None] = {}
-    for file, element in scenefile.elements(root, values):
+    for file, element in scenefile.elements(root, values, folders):
         found[file.resolve()] = None
         if element.tag == "default":  # counts where it is used
             continue
+        places = (file.parent, *folders) if element.tag == "spectrum" else tuple(folders)
         for text in element.attrib.values():
             value = scenefile.substituted(text, values)
-            if element.tag == "path":
-                folders.append(file.parent / value)
-            elif target := _file(value, (file.parent, *folders)):
-                found[target] = None
+            found.update(dict.fromkeys(_files(value, places)))
     found.pop(root, None)
     return SceneFiles(root, tuple(sorted(found)))
 
 
-def _file(value: str, folders: tuple[Path, ...]) -> Path | None:
+def _files(value: str, folders: tuple[Path, ...]) -> list[Path]:
+    """The files that a value in a scene file stands for: one by its name, or those of a module."""
     if match := _MODULE.fullmatch(value):
-        value = match[1].replace(".", "/") + ".py"
+        return functions.files(match[1], folders)
     if not value or len(value) > 255 or "\0" in value:
-        return None
-    return next(((f / value).resolve() for f in folders if (f / value).is_file()), None)
+        return []
+    return [(f / value).resolve() for f in folders if (f / value).is_file()][:1]
 
 
 def _digest(path: Path) -> str:

@@ -25,6 +25,7 @@ def modules_and_path() -> Iterator[None]:
     for name in set(sys.modules) - before:
         del sys.modules[name]
     functions._imported.clear()
+    functions._states.clear()
 
 
 def write(folder: Path, value: str, name: str = "a_law") -> str:
@@ -78,6 +79,63 @@ def test_a_folder_does_not_hide_a_package(tmp_path: Path) -> None:
     (package / "__init__.py").write_text("", encoding="utf-8")
     assert load_function("x", "nonexp.models.custom:wigner", [str(tmp_path)])
     assert sys.modules["nonexp"] is nonexp
+
+
+def test_packages_are_told_apart_too(tmp_path: Path) -> None:
+    for name in ("one", "two"):
+        write(tmp_path / name, "0", "a_law")
+        write(tmp_path / name / "a_package", repr(name), "part")
+        (tmp_path / name / "a_package" / "__init__.py").write_text("from .part import f\n")
+        (tmp_path / name / "a_law.py").write_text("from a_package.part import f\n")
+    for name in ("one", "two", "one"):
+        for law in ("a_package:f", "a_package.part:f", "a_law:f"):
+            assert load_function("x", law, [str(tmp_path / name)])() == name
+    write(tmp_path / "one" / "a_package", "'new'", "part")
+    for law in ("a_law:f", "a_package.part:f", "a_package:f"):
+        assert load_function("x", law, [str(tmp_path / "one")])() == "new"
+
+
+def test_a_module_of_another_scene_is_not_there(tmp_path: Path) -> None:
+    write(tmp_path / "one", "1", "a_helper")
+    for name in ("one", "two"):
+        write(tmp_path / name, "1")
+        (tmp_path / name / "a_law.py").write_text("from a_helper import f\n", encoding="utf-8")
+    assert load_function("x", "a_law:f", [str(tmp_path / "one")])() == 1
+    with pytest.raises(ValueError, match="No module named 'a_helper'"):
+        load_function("x", "a_law:f", [str(tmp_path / "two")])
+
+
+def test_the_folder_comes_first_and_links_count_as_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    early, home = write(tmp_path / "early", "1"), write(tmp_path / "home", "2")
+    with monkeypatch.context() as patch:
+        patch.syspath_prepend(home)
+        patch.syspath_prepend(early)
+        assert load_function("x", "a_law:f", [home])() == 2
+    for name in ("one", "two"):
+        (tmp_path / name).mkdir()
+        write(tmp_path / name / "real", repr(name), "a_helper")
+        (tmp_path / name / "a_helper.py").symlink_to(tmp_path / name / "real" / "a_helper.py")
+        (tmp_path / name / "a_law.py").write_text("from a_helper import f\n", encoding="utf-8")
+        assert load_function("x", "a_law:f", [str(tmp_path / name)])() == name
+    write(tmp_path / "one" / "real", "'new'", "a_helper")
+    assert load_function("x", "a_law:f", [str(tmp_path / "one")])() == "new"
+
+
+def test_a_module_may_make_models_while_it_is_imported(tmp_path: Path) -> None:
+    (tmp_path / "a_law.py").write_text(
+        """from nonexp import models
+
+law = models.create("custom", ff="nonexp.models.custom:wigner")
+
+
+def f(tau):
+    return law.ff(tau)
+""",
+        encoding="utf-8",
+    )
+    assert callable(load_function("x", "a_law:f", [str(tmp_path)]))
 
 
 @pytest.mark.parametrize(
