@@ -5,6 +5,7 @@ from __future__ import annotations
 import zipfile
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
@@ -205,3 +206,61 @@ def test_a_scene_is_the_same_each_time_and_its_meshes_are_few(tmp_path: Path) ->
     plain = mi.load_file(str(path), optimize=False)
     plain_faces = sum(shape.face_count() for shape in plain.shapes())
     assert sum(shape.face_count() for shape in scene.shapes()) == plain_faces
+
+
+def test_what_the_module_of_a_law_imports_counts(scene: Path) -> None:
+    folder = scene.parent
+    (folder / "halved.py").write_text("import rates\nfrom inner.more import x\n" + LAW)
+    (folder / "rates.py").write_text("import numpy\nimport further\n")
+    (folder / "further.py").write_text("raise SystemExit('it is not run')\n")
+    (folder / "inner").mkdir()
+    (folder / "inner/__init__.py").write_text("")
+    (folder / "inner/more.py").write_text("from . import most\nx = 1\n")
+    (folder / "inner/most.py").write_text("")
+    (folder / "another.py").write_text("")
+    found = {name for name in scenefiles.collect(scene, {}).digests() if name.endswith(".py")}
+    inner = {"inner/__init__.py", "inner/more.py", "inner/most.py"}
+    assert found == {"halved.py", "rates.py", "further.py"} | inner
+
+
+def test_files_are_those_that_mitsuba_takes(
+    scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In the scene's folder rather than beside an included file, on a path, or where it runs."""
+    working = tmp_path / "working"
+    for place in ("scene", "scene/parts", "scene/shelf", "working"):
+        (tmp_path / place).mkdir(exist_ok=True)
+        (tmp_path / place / "both.ply").write_bytes((scene.parent / "parts/cube.ply").read_bytes())
+    (tmp_path / "scene/shelf/inc.xml").write_text('<scene version="3.0.0"/>')
+    (tmp_path / "working/here.ply").write_bytes((scene.parent / "parts/cube.ply").read_bytes())
+    shape = '<shape type="ply"><string name="filename" value="{}"/></shape>'
+    (scene.parent / "parts/own.xml").write_text(
+        OWN.replace("</scene>", shape.format("both.ply") + "</scene>")
+    )
+    monkeypatch.chdir(working)
+    extra = '<default name="dir" value="parts"/><default name="dir_mesh" value="$dir/cube"/>'
+    extra += shape.format("here.ply") + shape.format("$dir_mesh.ply")
+    scene.write_text(SCENE.replace("</scene>", extra + "</scene>"))
+    core: Any = mi
+    before = core.file_resolver()
+    resolver: Any = mi.FileResolver(before)
+    resolver.append(str(working))
+    core.set_file_resolver(resolver)
+    try:
+        found = set(scenefiles.collect(scene, {}).digests())
+        scenefile.load(scene, {})
+        assert {"both.ply", "../working/here.ply", "parts/cube.ply"} <= found
+        assert not {"parts/both.ply", "shelf/both.ply", "../working/both.ply"} & found
+
+        shelf = '<path value="shelf"/><include filename="inc.xml"/>'
+        text = scene.read_text()
+        scene.write_text(text.replace('<default name="dir"', shelf + '<default name="dir"'))
+        scenefile.load(scene, {})
+        assert "shelf/inc.xml" in scenefiles.collect(scene, {}).digests()
+    finally:
+        core.set_file_resolver(before)
+
+
+def test_parameters_are_put_in_as_mitsuba_does() -> None:
+    values = {"a": "1", "ab": r"x\1$a"}
+    assert scenefile.substituted(r"$ab.ply $a_b \$a", values) == r"x\11.ply 1_b \$a"
