@@ -33,9 +33,10 @@ class Moments:
     def plus(self, image: Array) -> Moments:
         """These images and one more."""
         passes = self.passes + 1
-        delta = image - self.mean
-        mean = self.mean + delta / passes
-        return Moments(passes, mean, self.squares + delta * (image - mean))
+        with np.errstate(invalid="ignore"):  # infinite values: the pixel becomes NaN
+            delta = image - self.mean
+            mean = self.mean + delta / passes
+            return Moments(passes, mean, self.squares + delta * (image - mean))
 
     @property
     def stderr(self) -> Array:

@@ -19,6 +19,7 @@ import hashlib
 import itertools
 import json
 import math
+import re
 import warnings
 from collections.abc import Callable, Generator, Iterator, Mapping
 from dataclasses import dataclass
@@ -168,13 +169,16 @@ def passes(
     """
     camera = scene.sensors()[sensor]
     integrator = scene.integrator() if integrator is None else integrator
-    colours = camera.film().base_channels_count()
+    film = camera.film()
+    colours = film.base_channels_count()
+    of_xyz = _xyz_to_rgb() if re.search(r"pixel_format = xyz", str(film)) else None
     for number in itertools.count(start) if plan.passes is None else range(start, plan.passes):
         with dr.suspend_grad():
             image = integrator.render(
                 scene, sensor=camera, seed=pass_seed(seed, number), spp=plan.pass_spp
             )
-        yield _rgb(np.array(image, dtype=np.float64), colours)
+        values = _rgb(np.array(image, dtype=np.float64), colours)
+        yield values if of_xyz is None else values @ of_xyz
 
 
 def _rgb(image: Array, base_channels: int) -> Array:
@@ -182,6 +186,12 @@ def _rgb(image: Array, base_channels: int) -> Array:
     if base_channels >= 3:
         return image[:, :, :3]
     return np.repeat(image[:, :, :1], 3, axis=2)
+
+
+def _xyz_to_rgb() -> Array:
+    """The matrix from CIE XYZ to linear RGB, for rows."""
+    rows = [np.array(mi.xyz_to_srgb(mi.Color3f(unit))) for unit in np.eye(3).tolist()]
+    return np.array(rows, dtype=np.float64).reshape(3, 3)
 
 
 # --------------------------------------------------------------------- render
@@ -282,6 +292,12 @@ def render(
         sampler.set_sample_count(scene_spp)
         if keeper is not None and run.moments.passes > state.passes:
             keeper.close(run.moments, run.seconds, run.stopped is not None)
+    if unusable := np.count_nonzero(~np.isfinite(run.moments.mean).all(axis=-1)):
+        warnings.warn(
+            f"{unusable} of {run.moments.mean[..., 0].size} pixels are not finite numbers: "
+            "they are in no error",
+            stacklevel=2,
+        )
     return Image(
         run.moments.mean,
         run.moments.stderr,
@@ -328,6 +344,8 @@ def _check(
         raise ValueError(f"seed is {seed}: it must be a whole number >= 0")
     if not 0 <= sensor < len(scene.sensors()):
         raise ValueError(f"sensor is {sensor}: the scene has {len(scene.sensors())} of them")
+    if scene.sensors()[sensor].film().class_name() == "SpecFilm":
+        raise ValueError("the film is a specfilm: it must be an hdrfilm, whose image is RGB")
     if time is not None and not 0 < time < math.inf:
         raise ValueError(f"time is {time}: it must be a number of seconds > 0")
     if error is not None and not 0 < error < 1:

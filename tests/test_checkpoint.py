@@ -156,6 +156,14 @@ def test_wherever_writing_breaks_off_one_checkpoint_is_whole(
     assert not [p for p in tmp_path.iterdir() if p.suffix == ".part"]
 
 
+def test_an_identity_is_what_json_can_hold(tmp_path: Path) -> None:
+    file = tmp_path / "checkpoint"
+    with pytest.raises(ValueError, match=r"identity is .*: it must be what JSON can hold"):
+        nonexp.render(mi.load_dict(mi.cornell_box()), checkpoint=file, identity={"a": tmp_path})
+    assert not file.exists()
+    assert checkpoint.differences({"a": {"b": 1}}, {"a": "c"}) == ["a was {'b': 1}, is c"]
+
+
 def test_leftovers_of_killed_runs_are_removed(tmp_path: Path) -> None:
     target = tmp_path / "a.exr"
     dead = subprocess.Popen([sys.executable, "-c", ""])

@@ -119,6 +119,15 @@ def test_foreign_images_are_refused() -> None:
 SHAPE = (48, 64, 3)
 
 
+def test_images_without_noise_are_compared_exactly() -> None:
+    a = picture([np.full((360, 480, 3), 1.0)] * 8)
+    b = picture([np.full((360, 480, 3), 1.1)] * 8, seed=1)
+    for other, differ in ((a, False), (b, True)):
+        test = comparing.compare(a, other).test
+        assert test is not None
+        assert (test.worst > test.limit) == differ
+
+
 def test_noise_alone_is_seldom_called_a_difference() -> None:
     """300 pairs of equal images, of 8 and of 20 passes, with 1 % false alarms claimed.
 

@@ -194,13 +194,31 @@ def test_a_sampler_that_rounds_is_counted_as_it_samples() -> None:
     assert (image.passes, image.spp) == (8, 72)  # 8 samples cannot be stratified, 9 can
 
 
-@pytest.mark.parametrize("pixel_format", ["rgba", "luminance", "luminance_alpha"])
+@pytest.mark.parametrize("pixel_format", ["rgba", "xyz", "xyza", "luminance", "luminance_alpha"])
 def test_only_colour_is_kept(pixel_format: str) -> None:
     mean = rendering.render(scene(pixel_format=pixel_format), spp=8, seed=1).mean
     rgb = rendering.render(scene(), spp=8, seed=1).mean
     luminance = rgb @ [0.212671, 0.715160, 0.072169]
-    expected = rgb if pixel_format == "rgba" else np.repeat(luminance[..., None], 3, axis=2)
-    np.testing.assert_allclose(mean, expected, rtol=1e-4, atol=1e-6)
+    grey = pixel_format.startswith("luminance")
+    expected = np.repeat(luminance[..., None], 3, axis=2) if grey else rgb
+    np.testing.assert_allclose(mean, expected, rtol=1e-4, atol=1e-5)
+
+
+def test_a_film_of_bands_is_refused() -> None:
+    mi.set_variant("llvm_ad_spectral")
+    band = {"type": "spectrum", "value": [(400, 1), (500, 1)]}
+    film = {"type": "specfilm", "band": band, "width": 2, "height": 2}
+    sensor = {"type": "perspective", "film": film}
+    target = mi.load_dict({"type": "scene", "i": {"type": "path"}, "sensor": sensor})
+    with pytest.raises(ValueError, match="the film is a specfilm: it must be an hdrfilm"):
+        rendering.render(target, spp=2)
+
+
+def test_pixels_that_are_not_numbers_are_told() -> None:
+    image = np.ones((4, 5, 3))
+    image[1, 2, 0], image[0, 0] = np.inf, np.nan
+    with pytest.warns(UserWarning, match="2 of 20 pixels are not finite numbers"):
+        rendering.render(scene(5, 4), spp=4, source=lambda *_: iter([image] * 4))
 
 
 def test_channels_of_an_aov_integrator_are_dropped() -> None:
