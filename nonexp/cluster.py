@@ -155,6 +155,9 @@ class Cluster:
         memory stays flat. Raises ``RuntimeError`` where a pass fails or ends the workers that
         try it.
         """
+        from distributed import CancelledError
+        from distributed.comm.core import CommClosedError
+
         plan = job.plan
         numbers = range(start, _ENDLESS if plan.passes is None else plan.passes)
         run = os.urandom(8).hex()
@@ -170,6 +173,8 @@ class Cluster:
                         render_pass, archive, job, ahead, key=f"nonexp-{run}-{ahead}", pure=False
                     )
                 yield np.asarray(self._result(under_way.pop(number)), dtype=np.float64)
+        except (CancelledError, CommClosedError):  # the client cancels what it cannot ask about
+            raise RuntimeError("the scheduler cannot be reached any more") from None
         finally:
             with contextlib.suppress(Exception):
                 self._client.cancel([*under_way.values(), archive])
@@ -179,14 +184,12 @@ class Cluster:
 
     def _result(self, future: Any) -> Any:
         """What a task gives, however long it takes; tells where there are no workers."""
-        from distributed import CancelledError, KilledWorker, TimeoutError
+        from distributed import KilledWorker, TimeoutError
 
         told = False
         while True:
             try:
                 return future.result(timeout=2)
-            except CancelledError:  # by nobody but a client that lost its scheduler
-                raise RuntimeError("the scheduler cannot be reached any more") from None
             except TimeoutError:
                 if self._client.status not in ("running", "connecting"):
                     raise RuntimeError("the scheduler cannot be reached any more") from None
@@ -213,6 +216,7 @@ def connect(where: str, tell: Callable[[str], Any] = lambda text: None) -> Itera
     """
     require()
     distributed: Any = importlib.import_module("distributed")  # whose functions have no types
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # we say it in a sentence
     match = re.fullmatch(r"local(?::([1-9]\d{0,2}))?", where)
     with contextlib.ExitStack() as stack:
         address: Any = where

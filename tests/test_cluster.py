@@ -5,10 +5,14 @@ from __future__ import annotations
 import os
 import re
 import signal
+import socket
+import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
@@ -143,6 +147,26 @@ def test_the_command_renders_the_same_file(
     from test_checkpoint import content
 
     assert content(Path("one.exr")) == content(Path("two.exr"))
+
+
+def test_a_scheduler_that_is_killed_is_told_in_a_sentence(
+    path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
+    dask = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--no-dashboard", "--port"]
+    quiet: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    with subprocess.Popen([*dask, address.rpartition(":")[2]], **quiet) as scheduler:
+        try:
+            with cluster.connect(address) as where:
+                under_way = where.passes(scenefiles.collect(path, {}), job(1000))
+                threading.Timer(1.0, scheduler.kill).start()  # nobody has joined to work
+                with pytest.raises(RuntimeError, match="the scheduler cannot be reached any more"):
+                    list(under_way)
+        finally:
+            scheduler.kill()
+    assert "Traceback" not in capfd.readouterr().err
 
 
 def test_an_address_without_scheduler_is_told(
