@@ -84,7 +84,7 @@ class Noise:
 
     Each pixel counts by its relative error, so that a light in the picture does not hide the noise
     of the rest; dark pixels are held to a tenth of the median instead of to nothing; black
-    background does not dilute; no pixel counts for more than 1. An image that is all black has
+    background does not dilute; no pixel counts for more than 1.8. An image that is all black has
     error 0, a single pass NaN.
     """
 
