@@ -6,10 +6,10 @@ import argparse
 import contextlib
 import json
 import platform
+import signal
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
-from time import time
 from typing import TYPE_CHECKING, Any
 
 from . import cli_progress
@@ -122,18 +122,21 @@ def _render(options: argparse.Namespace) -> int:
         if state is not None:
             _look_at(state, options)
             files.remove_leftovers(target, target.with_suffix(".png"), state)
-        started = time()
+        before = _version(state)
         with stop_signals(immediately=options.cluster is not None) as stop:
             try:
                 image, identity = _run(loaded, options, state, stop)
             except Stopped as stopped:
-                return _say_how_to_resume(stopped, state, started)
+                return _say_how_to_resume(stopped, state, before)
         metadata = _metadata(options, loaded, image, identity)
         denoised = None
-        if options.denoise:
-            denoised, metadata["denoiser"] = denoising.denoise(image.mean)
-        with _saved_at_least(state, started):
-            output.write(target, image, metadata, denoised)
+        try:
+            if options.denoise:
+                denoised, metadata["denoiser"] = denoising.denoise(image.mean)
+            with _saved_at_least(state, before):
+                output.write(target, image, metadata, denoised)
+        except KeyboardInterrupt:
+            return _say_how_to_resume(Stopped(signal.SIGINT), state, before)
     if state is not None:
         checkpoint.older(state).unlink(missing_ok=True)
         if image.seconds < options.checkpoint:  # quicker made again than kept
@@ -253,12 +256,16 @@ def _look_at(state: Path, options: argparse.Namespace) -> None:
         )
 
 
-def _written_since(state: Path, started: float) -> bool:
-    return state.exists() and state.stat().st_mtime > started - 0.1  # clocks of files are coarse
+def _version(state: Path | None) -> tuple[int, ...] | None:
+    """What tells one checkpoint from the next of the same name; clocks may be set back."""
+    if state is None or not state.exists():
+        return None
+    status = state.stat()
+    return status.st_ino, status.st_mtime_ns, status.st_size
 
 
-def _say_how_to_resume(stopped: Stopped, state: Path | None, started: float) -> int:
-    if state is not None and _written_since(state, started):
+def _say_how_to_resume(stopped: Stopped, state: Path | None, before: Any) -> int:
+    if _version(state) not in (None, before):
         note(
             f"{stopped}; what is done is in {str(state)!r}: "
             "to go on, give the same command with --resume"
@@ -269,12 +276,12 @@ def _say_how_to_resume(stopped: Stopped, state: Path | None, started: float) -> 
 
 
 @contextlib.contextmanager
-def _saved_at_least(state: Path | None, started: float) -> Iterator[None]:
+def _saved_at_least(state: Path | None, before: Any) -> Iterator[None]:
     """Where the image cannot be written, tell what is in the checkpoint."""
     try:
         yield
     except OSError as error:
-        if state is None or not _written_since(state, started):
+        if _version(state) in (None, before):
             raise
         saved = f"what is done is in {str(state)!r}, from which --resume goes on"
         raise OSError(f"{error} ({saved})") from error

@@ -265,7 +265,7 @@ def render(
     if spp is None and time is None and error is None:
         spp = _sampler(scene, sensor).sample_count()
     todo = _planned(scene, spp, sensor, pass_spp)
-    state, seconds, keeper = Moments(), 0.0, None
+    state, seconds, keeper, found = Moments(), 0.0, None, None
     if checkpoint is not None:
         path = Path(checkpoint)
         about = identity_of(scene, sensor, seed, identity)
@@ -290,7 +290,8 @@ def render(
         _continue(run, source(todo, seed, state.passes), keeper, on_progress)
     finally:
         sampler.set_sample_count(scene_spp)
-        if keeper is not None and run.moments.passes > state.passes:
+        reached = run.stopped is not None and found is not None and not found.finished
+        if keeper is not None and (run.moments.passes > state.passes or reached):
             keeper.close(run.moments, run.seconds, run.stopped is not None)
     if unusable := np.count_nonzero(~np.isfinite(run.moments.mean).all(axis=-1)):
         warnings.warn(

@@ -444,6 +444,24 @@ def test_hours_are_not_overwritten_without_being_asked(
     assert not list(tmp_path.glob("*.checkpoint*"))
 
 
+def test_a_target_that_is_reached_already_ends_the_render(tmp_path: Path) -> None:
+    file = tmp_path / "checkpoint"
+    film = {"type": "hdrfilm", "width": 4, "height": 4, "rfilter": {"type": "box"}}
+    sensor = {"type": "perspective", "film": film}
+    target = mi.load_dict({"type": "scene", "i": {"type": "direct"}, "sensor": sensor})
+
+    def stop(progress: rendering.Progress) -> None:
+        if progress.done == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        nonexp.render(target, spp=32, pass_spp=4, checkpoint=file, on_progress=stop)
+    assert not checkpoint.read(file).finished
+    assert nonexp.render(target, spp=8, pass_spp=4, checkpoint=file).passes == 3
+    found = checkpoint.read(file)
+    assert found.finished and found.moments.passes == 3
+
+
 def test_memory_stays_flat(effort: int, tmp_path: Path) -> None:
     """1000 passes (10 000 in full) with a checkpoint every 50 ms: no growth after the first 200."""
     sizes: list[int] = []

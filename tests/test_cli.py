@@ -431,6 +431,25 @@ def test_a_signal_ends_the_run_after_the_pass(
     )
 
 
+def test_ctrl_c_while_the_image_is_written_tells_of_the_checkpoint(
+    run: Run, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(output, "write", interrupted)
+    (folder / "scene.exr.checkpoint").write_text("")  # damaged; its time lies ahead
+    os.utime(folder / "scene.exr.checkpoint", (4e9, 4e9))
+    code, out, err = run("scene.xml", "--checkpoint", "off")
+    assert (code, out) == (130, "") and "nothing written" in err
+    code, out, err = run("scene.xml")
+    assert (code, out) == (130, "")
+    assert "interrupted; what is done is in 'scene.exr.checkpoint'" in err
+    monkeypatch.undo()
+    monkeypatch.chdir(folder)
+    assert run("scene.xml", "--resume")[0] == 0
+
+
 def test_ctrl_c_before_the_first_pass_writes_nothing(
     run: Run, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
