@@ -11,7 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 from nonexp import models
-from nonexp.spectra import grey, somewhere, visible
+from nonexp.plugins.spectra import grey, somewhere, visible
 from nonexp.transmittance import Transmittance
 
 from .jit import recording

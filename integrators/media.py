@@ -14,7 +14,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from nonexp.choice import replayed
+from nonexp.transmittance.choice import replayed
 
 from .entries import Entry, Scatter, Tracked, entry_of
 from .jit import Numbering

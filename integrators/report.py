@@ -9,7 +9,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from nonexp.spectra import visible
+from nonexp.plugins.spectra import visible
 
 from .entries import Entry, Tracked
 from .media import Media, OneMedium, scene_media

@@ -10,7 +10,7 @@ from typing import Any
 
 import mitsuba as mi
 
-from nonexp import scenewalk
+from nonexp.scene import walk as scenewalk
 
 from .closed import encloses
 from .lobes import lobes

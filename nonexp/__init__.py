@@ -9,10 +9,9 @@ from __future__ import annotations
 
 import os as _os
 
-from .machine import load_drjit as _load_drjit
-from .machine import select_llvm as _select_llvm
-
-__version__ = "0.1.0"
+from .system.machine import load_drjit as _load_drjit
+from .system.machine import select_llvm as _select_llvm
+from .system.version import __version__
 
 # In a source tree the integrators stand beside this folder, not inside it.
 _root = _os.path.dirname(_os.path.dirname(_os.path.abspath(__file__)))
@@ -23,9 +22,11 @@ _select_llvm()  # before Dr.Jit starts its LLVM backend
 _load_drjit()
 
 from . import models, parameters, plugins  # noqa: E402
+from .fitting import fit  # noqa: E402
+from .images.image import Image  # noqa: E402
 from .parameters import parameter  # noqa: E402
-from .rendering import Image, render  # noqa: E402
-from .targets import Progress  # noqa: E402
+from .rendering.render import render  # noqa: E402
+from .rendering.targets import Progress  # noqa: E402
 from .transmittance import Draw, Transmittance  # noqa: E402
 
 __all__ = [
@@ -34,6 +35,7 @@ __all__ = [
     "Progress",
     "Transmittance",
     "__version__",
+    "fit",
     "models",
     "parameter",
     "parameters",
@@ -41,4 +43,5 @@ __all__ = [
     "render",
 ]
 
+models.fit = fit  # where it was in version 0.1; the registry itself knows no fitting
 plugins.install()

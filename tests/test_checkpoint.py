@@ -18,9 +18,11 @@ import OpenEXR
 import pytest
 
 import nonexp
-from nonexp import checkpoint, files, rendering, sceneid
-from nonexp.checkpoint import Checkpoint
-from nonexp.moments import Moments
+from nonexp.images.moments import Moments
+from nonexp.rendering import checkpoint
+from nonexp.rendering.checkpoint import Checkpoint
+from nonexp.scene import identity as sceneid
+from nonexp.system import files
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -222,7 +224,7 @@ class Break(Exception):
 
 
 def broken_off(target: Any, path: Path, after: int, **arguments: Any) -> None:
-    def stop(progress: rendering.Progress) -> None:
+    def stop(progress: nonexp.Progress) -> None:
         if progress.done >= after:
             raise Break
 
@@ -230,7 +232,7 @@ def broken_off(target: Any, path: Path, after: int, **arguments: Any) -> None:
         nonexp.render(target, checkpoint=path, on_progress=stop, **arguments)
 
 
-def assert_same_image(a: rendering.Image, b: rendering.Image) -> None:
+def assert_same_image(a: nonexp.Image, b: nonexp.Image) -> None:
     assert a.mean.tobytes() == b.mean.tobytes()
     assert a.stderr.tobytes() == b.stderr.tobytes()
     assert (a.spp, a.passes, a.seed) == (b.spp, b.passes, b.seed)
@@ -244,7 +246,7 @@ def test_a_broken_run_goes_on_to_the_same_bits(tmp_path: Path, interval: float) 
         broken_off(scene(), path, after, spp=40, seed=3, interval=interval)
         saved = checkpoint.load(path)
         assert saved is not None and saved[0].moments.passes == after
-    seen: list[rendering.Progress] = []
+    seen: list[nonexp.Progress] = []
     image = nonexp.render(scene(), spp=40, seed=3, checkpoint=path, on_progress=seen.append)
     assert [p.done for p in seen] == list(range(6, whole.passes + 1))
     assert_same_image(image, whole)
@@ -450,7 +452,7 @@ def test_a_target_that_is_reached_already_ends_the_render(tmp_path: Path) -> Non
     sensor = {"type": "perspective", "film": film}
     target = mi.load_dict({"type": "scene", "i": {"type": "direct"}, "sensor": sensor})
 
-    def stop(progress: rendering.Progress) -> None:
+    def stop(progress: nonexp.Progress) -> None:
         if progress.done == 3:
             raise KeyboardInterrupt
 
@@ -466,7 +468,7 @@ def test_memory_stays_flat(effort: int, tmp_path: Path) -> None:
     """1000 passes (10 000 in full) with a checkpoint every 50 ms: no growth after the first 200."""
     sizes: list[int] = []
 
-    def look(progress: rendering.Progress) -> None:
+    def look(progress: nonexp.Progress) -> None:
         if progress.done % 100 == 0:
             sizes.append(int(Path("/proc/self/statm").read_text().split()[1]))
 

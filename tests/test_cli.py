@@ -17,20 +17,15 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from nonexp import (
-    __version__,
-    cli,
-    cli_common,
-    cli_progress,
-    denoising,
-    fitting,
-    models,
-    moments,
-    output,
-    rendering,
-    scenefile,
-    targets,
-)
+import nonexp
+from nonexp import __version__, cli, fitting, models, rendering
+from nonexp.cli import arguments as cli_common
+from nonexp.cli import progress as cli_progress
+from nonexp.images import denoise as denoising
+from nonexp.images import exr as output
+from nonexp.images import moments
+from nonexp.rendering import targets
+from nonexp.scene import load as scenefile
 
 SCENE = """
 <scene version="3.0.0">
@@ -159,7 +154,7 @@ def test_the_exr_holds_mean_stderr_and_how_it_was_made(folder: Path) -> None:
     assert 0 < float(str(header["nonexp:error"])) < 1
 
     loaded = scenefile.load(Path("scene.xml"), {"alpha": "0.5"})
-    image = rendering.render(loaded.scene, spp=16, seed=7)
+    image = nonexp.render(loaded.scene, spp=16, seed=7)
     for i, name in enumerate("RGB"):
         np.testing.assert_array_equal(channels[name], image.mean[:, :, i].astype(np.float32))
         expected = image.stderr[:, :, i].astype(np.float32)
@@ -377,7 +372,7 @@ def test_a_failure_while_rendering_is_one_sentence(
     def fail(*_: object, **__: object) -> None:
         raise RuntimeError("[integrator.cpp:12] out of\n  memory")
 
-    monkeypatch.setattr(rendering, "render", fail)
+    monkeypatch.setattr("nonexp.rendering.render.render", fail)
     assert run("scene.xml") == (2, "", "nonexp: error: out of memory\n")
     assert not (folder / "scene.exr").exists()
 
@@ -403,8 +398,8 @@ def test_a_signal_ends_the_run_after_the_pass(
                 os.kill(os.getpid(), getattr(signal, number))
             yield image
 
-    passes = rendering.passes
-    monkeypatch.setattr(rendering, "passes", interrupted)
+    passes = rendering.render_passes
+    monkeypatch.setattr("nonexp.rendering.render.render_passes", interrupted)
     (folder / "scene.exr").write_text("old")
     # A process that a shell has put into the background ignores SIGINT.
     handler = signal.signal(getattr(signal, number), signal.default_int_handler)
@@ -425,7 +420,7 @@ def test_a_signal_ends_the_run_after_the_pass(
     monkeypatch.undo()
     monkeypatch.chdir(folder)
     assert run("scene.xml", "--resume")[::2] == (0, "")
-    whole = rendering.render(scenefile.load(Path("scene.xml"), {}).scene)
+    whole = nonexp.render(scenefile.load(Path("scene.xml"), {}).scene)
     np.testing.assert_array_equal(
         read(folder / "scene.exr")[1]["R"], whole.mean[:, :, 0].astype(np.float32)
     )
@@ -696,7 +691,7 @@ def test_targets_of_the_command_are_those_of_the_library(run: Run, folder: Path)
     assert (code, err) == (0, "")
     header, channels = read(folder / "scene.exr")
     loaded = scenefile.load(Path("scene.xml"), {})
-    image = rendering.render(loaded.scene, error=0.06, seed=3, pass_spp=2)
+    image = nonexp.render(loaded.scene, error=0.06, seed=3, pass_spp=2)
     assert (header["nonexp:passes"], header["nonexp:stopped"]) == (image.passes, "error")
     assert header["nonexp:error"] == pytest.approx(image.error)
     np.testing.assert_array_equal(channels["R"], image.mean[:, :, 0].astype(np.float32))

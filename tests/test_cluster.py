@@ -18,8 +18,12 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from nonexp import cli, cluster, rendering, scenefile, scenefiles, sceneid
-from nonexp.rendering import Plan
+import nonexp
+from nonexp import cli, rendering
+from nonexp.rendering import Plan, cluster
+from nonexp.scene import files as scenefiles
+from nonexp.scene import identity as sceneid
+from nonexp.scene import load as scenefile
 
 pytest.importorskip("distributed")
 
@@ -90,7 +94,7 @@ def test_the_passes_are_those_of_one_machine_in_order(workers: cluster.Cluster, 
     assert workers.workers() == 2
     assert re.match(r"http://.*:\d+/status", workers.dashboard)
     files = scenefiles.collect(path, {})
-    here = list(rendering.passes(scenefile.load(path, {}).scene, Plan(9, 4), 5))
+    here = list(rendering.render_passes(scenefile.load(path, {}).scene, Plan(9, 4), 5))
     there = list(workers.passes(files, job(9)))
     np.testing.assert_array_equal(there, here)
     np.testing.assert_array_equal(list(workers.passes(files, job(9), start=6)), here[6:])
@@ -104,8 +108,8 @@ def test_an_open_end_is_cut_when_enough_is_there(workers: cluster.Cluster, path:
     def source(plan: Plan, seed: int, start: int) -> Iterator[rendering.Array]:
         return workers.passes(files, replace(job(None), plan=plan, seed=seed), start)
 
-    image = rendering.render(loaded.scene, error=0.05, seed=3, pass_spp=2, source=source)
-    alone = rendering.render(loaded.scene, error=0.05, seed=3, pass_spp=2)
+    image = nonexp.render(loaded.scene, error=0.05, seed=3, pass_spp=2, source=source)
+    alone = nonexp.render(loaded.scene, error=0.05, seed=3, pass_spp=2)
     assert image.stopped == alone.stopped == "error"
     assert image.passes == alone.passes
     np.testing.assert_array_equal(image.mean, alone.mean)
@@ -116,7 +120,7 @@ def test_a_worker_that_is_killed_costs_time_but_nothing_else(
     workers: cluster.Cluster, path: Path
 ) -> None:
     files = scenefiles.collect(path, {})
-    here = list(rendering.passes(scenefile.load(path, {}).scene, Plan(40, 4), 5))
+    here = list(rendering.render_passes(scenefile.load(path, {}).scene, Plan(40, 4), 5))
     there = []
     for number, image in enumerate(workers.passes(files, job(40))):
         there.append(image)

@@ -20,7 +20,8 @@ import pytest
 import yaml
 from measure import radiance
 
-from nonexp import __version__, cli, models, scenefile
+from nonexp import __version__, cli, models
+from nonexp.scene import load as scenefile
 
 ROOT = Path(__file__).resolve().parent.parent
 README = ROOT / "README.md"

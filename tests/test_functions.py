@@ -12,8 +12,8 @@ import mitsuba as mi
 import pytest
 
 import nonexp
-from nonexp import functions
-from nonexp.functions import load_function
+from nonexp.transmittance import functions
+from nonexp.transmittance.functions import load_function
 
 
 @pytest.fixture(autouse=True)

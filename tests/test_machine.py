@@ -10,7 +10,7 @@ from pathlib import Path
 import mitsuba as mi
 import pytest
 
-from nonexp import machine
+from nonexp.system import machine
 
 
 @pytest.mark.parametrize(

@@ -11,9 +11,12 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from nonexp import cli, comparing, merging, output
-from nonexp.moments import Array, Moments
-from nonexp.output import Picture
+from nonexp import cli
+from nonexp.images import compare as comparing
+from nonexp.images import exr as output
+from nonexp.images import merge as merging
+from nonexp.images.exr import Picture
+from nonexp.images.moments import Array, Moments
 
 IDENTITY = {"files": {"a.xml": "1"}, "size": [12, 10], "versions": {"mitsuba": "3.9.1"}}
 

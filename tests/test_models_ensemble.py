@@ -19,10 +19,10 @@ from measure import FALSE_ALARM, radiance
 from mpmath import mp, mpf
 from scipy import stats
 
-from nonexp.laplace import AliasTable
 from nonexp.models import create, to_dict
 from nonexp.models.ensemble import Ensemble
-from nonexp.parameters import number
+from nonexp.numerics.laplace import AliasTable
+from nonexp.transmittance.parameters import number
 
 Transform = Callable[[int, Any], Any]
 """E[S^j exp(-S tau)] of (j, tau)."""

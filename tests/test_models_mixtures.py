@@ -18,7 +18,6 @@ from measure import FALSE_ALARM, assert_mean, radiance
 from scipy import integrate, stats
 
 from nonexp import models
-from nonexp.choice import pick
 from nonexp.models import to_dict, to_xml
 from nonexp.models.constant import Constant
 from nonexp.models.exponential import Exponential
@@ -28,6 +27,7 @@ from nonexp.models.linear import Linear
 from nonexp.models.mixture import Mixture
 from nonexp.models.quadratic import Quadratic
 from nonexp.transmittance import Transmittance
+from nonexp.transmittance.choice import pick
 
 VACUUM = ExponentialMixture((2.0, 0.0), (3.0, 1.0))
 WIDE = ExponentialMixture((1e-4, 1.0, 1e4))

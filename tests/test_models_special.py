@@ -18,7 +18,8 @@ from drjit.llvm.ad import Float, Float64
 from mpmath import mp
 from scipy import stats
 
-from nonexp import models, special
+from nonexp import models
+from nonexp.numerics import special
 from nonexp.transmittance import Transmittance
 
 DIGITS = 160  # third differences with steps of 1e-16 lose 2/3 of them

@@ -21,8 +21,8 @@ from scipy import special, stats
 from nonexp import models
 from nonexp.models.custom import Custom, wigner
 from nonexp.models.tabulated import Tabulated
-from nonexp.piecewise import Curve, Piecewise, hermite
-from nonexp.tables import Table
+from nonexp.numerics.lookup import Table
+from nonexp.transmittance.piecewise import Curve, Piecewise, hermite
 
 FALSE_ALARM = 1e-6
 PACKING = Path(__file__).resolve().parent.parent / "scenes" / "media" / "packing.csv"

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from nonexp import fitting, models, plotting
+from nonexp import fitting, models
+from nonexp.fitting import plot as plotting
 
 matplotlib.use("Agg")
 

@@ -39,7 +39,7 @@ def test_entry_point_module_registers_and_bears_reloading() -> None:
     # Mitsuba 3.10 loads it by entry point; 3.9, which runs here, has no such mechanism.
     run(
         "import mitsuba as mi, importlib\nmi.set_variant('llvm_ad_rgb')\n"
-        f"import nonexp._mitsuba_entry as e{MAKE}\n"
+        f"import nonexp.plugins.entry as e{MAKE}\n"
         f"mi.set_variant('llvm_ad_mono'); importlib.reload(e){MAKE}"
     )
 
@@ -106,7 +106,7 @@ def test_loading_in_parallel_with_plugins_that_read_files() -> None:
 def test_an_llvm_that_would_abort_the_process_is_refused(version: int) -> None:
     """With it a kernel must not even be tried: Dr.Jit calls abort()."""
     run(
-        "import nonexp\nfrom nonexp import machine\nimport mitsuba as mi\n"
+        "import nonexp\nfrom nonexp.system import machine\nimport mitsuba as mi\n"
         f"machine._llvm = lambda: ('/usr/lib/libLLVM.so', ({version}, 0, 0))\n"
         "mi.set_variant('llvm_ad_rgb')\n"
         "for plugin in ('nonexp_volpath', 'nonexp_homogeneous', 'transmittance_gamma'):\n"

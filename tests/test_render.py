@@ -96,7 +96,9 @@ def test_no_two_passes_of_neighbouring_seeds_are_the_same() -> None:
 def test_passes_of_neighbouring_seeds_are_different_images() -> None:
     target = scene()
     plan = rendering.Plan(passes=3, pass_spp=4)
-    images = [p.tobytes() for seed in (0, 1, 2) for p in rendering.passes(target, plan, seed)]
+    images = [
+        p.tobytes() for seed in (0, 1, 2) for p in rendering.render_passes(target, plan, seed)
+    ]
     assert len(set(images)) == 9
 
 
@@ -106,17 +108,17 @@ def test_passes_of_neighbouring_seeds_are_different_images() -> None:
 @pytest.mark.parametrize(("spp", "size"), [(8, (33, 17)), (200, (33, 17)), (24, (97, 61))])
 def test_the_same_seed_gives_the_same_bits(spp: int, size: tuple[int, int]) -> None:
     target = scene(*size)
-    first = rendering.render(target, spp=spp, seed=3)
+    first = nonexp.render(target, spp=spp, seed=3)
     for again in (target, target, scene(*size)):
-        image = rendering.render(again, spp=spp, seed=3)
+        image = nonexp.render(again, spp=spp, seed=3)
         np.testing.assert_array_equal(image.mean, first.mean)
         np.testing.assert_array_equal(image.stderr, first.stderr)
-    assert not np.array_equal(rendering.render(target, spp=spp, seed=4).mean, first.mean)
+    assert not np.array_equal(nonexp.render(target, spp=spp, seed=4).mean, first.mean)
 
 
 def test_other_filters_repeat_to_rounding() -> None:
     target = scene(rfilter="gaussian")
-    first, second = (rendering.render(target, spp=32, seed=3).mean for _ in range(2))
+    first, second = (nonexp.render(target, spp=32, seed=3).mean for _ in range(2))
     np.testing.assert_allclose(second, first, atol=1e-5)
 
 
@@ -145,10 +147,10 @@ def test_a_pass_launches_what_one_render_of_mitsuba_does(tmp_path: Path) -> None
 def test_the_mean_is_the_mean_of_the_passes() -> None:
     target = scene()
     plan = rendering.planned(target, 20)
-    seen: list[rendering.Progress] = []
-    image = rendering.render(target, spp=20, seed=5, on_progress=seen.append)
+    seen: list[nonexp.Progress] = []
+    image = nonexp.render(target, spp=20, seed=5, on_progress=seen.append)
     np.testing.assert_allclose(
-        image.mean, np.mean(list(rendering.passes(target, plan, 5)), axis=0), rtol=1e-12
+        image.mean, np.mean(list(rendering.render_passes(target, plan, 5)), axis=0), rtol=1e-12
     )
     assert (image.spp, image.passes, image.seed) == (20, 10, 5)
     assert [p.done for p in seen] == list(range(1, 11))
@@ -164,7 +166,7 @@ def test_stderr_is_the_spread_of_repeated_renders() -> None:
     would be broken by dividing by n instead of n - 1 (a factor of 8/7).
     """
     target = scene()
-    images = [rendering.render(target, spp=8, seed=seed) for seed in range(100)]
+    images = [nonexp.render(target, spp=8, seed=seed) for seed in range(100)]
     spread = np.var([image.mean for image in images], axis=0, ddof=1)
     claimed = np.mean([image.stderr**2 for image in images], axis=0)
     assert np.count_nonzero(spread[:, :, 0]) > 100
@@ -173,9 +175,9 @@ def test_stderr_is_the_spread_of_repeated_renders() -> None:
 
 def test_the_default_is_the_sampler_of_the_scene_which_stays_as_it_was() -> None:
     target = scene(spp=24)
-    assert rendering.render(target).spp == 24
-    assert rendering.render(target, spp=9).spp == 9
-    assert rendering.render(target).spp == 24
+    assert nonexp.render(target).spp == 24
+    assert nonexp.render(target, spp=9).spp == 9
+    assert nonexp.render(target).spp == 24
 
 
 def test_a_sampler_that_rounds_is_counted_as_it_samples() -> None:
@@ -190,14 +192,14 @@ def test_a_sampler_that_rounds_is_counted_as_it_samples() -> None:
             },
         }
     )
-    image = rendering.render(target, spp=64)
+    image = nonexp.render(target, spp=64)
     assert (image.passes, image.spp) == (8, 72)  # 8 samples cannot be stratified, 9 can
 
 
 @pytest.mark.parametrize("pixel_format", ["rgba", "xyz", "xyza", "luminance", "luminance_alpha"])
 def test_only_colour_is_kept(pixel_format: str) -> None:
-    mean = rendering.render(scene(pixel_format=pixel_format), spp=8, seed=1).mean
-    rgb = rendering.render(scene(), spp=8, seed=1).mean
+    mean = nonexp.render(scene(pixel_format=pixel_format), spp=8, seed=1).mean
+    rgb = nonexp.render(scene(), spp=8, seed=1).mean
     luminance = rgb @ [0.212671, 0.715160, 0.072169]
     grey = pixel_format.startswith("luminance")
     expected = np.repeat(luminance[..., None], 3, axis=2) if grey else rgb
@@ -211,14 +213,14 @@ def test_a_film_of_bands_is_refused() -> None:
     sensor = {"type": "perspective", "film": film}
     target = mi.load_dict({"type": "scene", "i": {"type": "path"}, "sensor": sensor})
     with pytest.raises(ValueError, match="the film is a specfilm: it must be an hdrfilm"):
-        rendering.render(target, spp=2)
+        nonexp.render(target, spp=2)
 
 
 def test_pixels_that_are_not_numbers_are_told() -> None:
     image = np.ones((4, 5, 3))
     image[1, 2, 0], image[0, 0] = np.inf, np.nan
     with pytest.warns(UserWarning, match="2 of 20 pixels are not finite numbers"):
-        rendering.render(scene(5, 4), spp=4, source=lambda *_: iter([image] * 4))
+        nonexp.render(scene(5, 4), spp=4, source=lambda *_: iter([image] * 4))
 
 
 def test_channels_of_an_aov_integrator_are_dropped() -> None:
@@ -227,38 +229,38 @@ def test_channels_of_an_aov_integrator_are_dropped() -> None:
         {"type": "aov", "aovs": "depth:depth", "image": {"type": "path", "max_depth": 3}}
     )
     plan = rendering.Plan(1, 4)
-    (plain,) = rendering.passes(target, plan)
-    (image,) = rendering.passes(target, plan, integrator=integrator)
+    (plain,) = rendering.render_passes(target, plan)
+    (image,) = rendering.render_passes(target, plan, integrator=integrator)
     assert image.shape == plain.shape
     np.testing.assert_allclose(image, plain, rtol=1e-5)
 
 
 @pytest.mark.parametrize("variant", ["llvm_ad_mono"], indirect=True)
 def test_mono_images_are_grey(variant: str) -> None:
-    mean = rendering.render(scene(), spp=8).mean
+    mean = nonexp.render(scene(), spp=8).mean
     assert mean.max() > 0
     np.testing.assert_array_equal(mean[:, :, 0], mean[:, :, 1])
     np.testing.assert_array_equal(mean[:, :, 0], mean[:, :, 2])
 
 
 def test_stopping_from_the_callback_leaves_the_scene_usable() -> None:
-    def stop(progress: rendering.Progress) -> None:
+    def stop(progress: nonexp.Progress) -> None:
         raise KeyboardInterrupt
 
     target = scene(spp=24)
     with pytest.raises(KeyboardInterrupt):
-        rendering.render(target, spp=8, on_progress=stop)
-    assert rendering.render(target).spp == 24
+        nonexp.render(target, spp=8, on_progress=stop)
+    assert nonexp.render(target).spp == 24
 
 
 def test_a_negative_seed_is_refused() -> None:
     with pytest.raises(ValueError, match="seed is -1: it must be"):
-        rendering.render(scene(), seed=-1)
+        nonexp.render(scene(), seed=-1)
 
 
 @pytest.mark.parametrize("pass_spp", [1, 4, 16])
 def test_the_pass_size_can_be_chosen(pass_spp: int) -> None:
-    image = rendering.render(scene(), spp=30, pass_spp=pass_spp)
+    image = nonexp.render(scene(), spp=30, pass_spp=pass_spp)
     assert (image.pass_spp, image.passes) == (pass_spp, -(-30 // pass_spp))
 
 

@@ -11,7 +11,18 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from nonexp import scenefile, scenefiles, sceneid, scenewalk
+from nonexp.scene import (
+    files as scenefiles,
+)
+from nonexp.scene import (
+    identity as sceneid,
+)
+from nonexp.scene import (
+    load as scenefile,
+)
+from nonexp.scene import (
+    walk as scenewalk,
+)
 
 SCENES = Path(__file__).resolve().parent.parent / "scenes"
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from nonexp import rendering
-from nonexp.moments import Array, Moments, Noise
-from nonexp.targets import Progress, Run, Targets, is_checked
+import nonexp
+from nonexp.images.moments import Array, Moments, Noise
+from nonexp.rendering.targets import Progress, Run, Targets, is_checked
 
 # --------------------------------------------------------------------- moments
 
@@ -182,15 +182,15 @@ def test_a_render_stops_at_the_error_that_it_claims() -> None:
     small by 10 % would miss in nearly all.
     """
     target = scene()
-    truth = rendering.render(target, spp=2**14, pass_spp=2**11, seed=10_000)
+    truth = nonexp.render(target, spp=2**14, pass_spp=2**11, seed=10_000)
     assert truth.error < 0.008
-    images = [rendering.render(target, error=0.06, pass_spp=16, seed=seed) for seed in range(40)]
+    images = [nonexp.render(target, error=0.06, pass_spp=16, seed=seed) for seed in range(40)]
     assert {image.stopped for image in images} == {"error"}
     errors = np.array([true_error(image.mean, truth.mean) for image in images])
     assert np.count_nonzero(errors > 0.06) < 8
     assert errors.mean() > 0.75 * 0.06
     assert all(image.error < 0.06 for image in images)
-    again = rendering.render(target, error=0.06, pass_spp=16, seed=7)
+    again = nonexp.render(target, error=0.06, pass_spp=16, seed=7)
     np.testing.assert_array_equal(again.mean, images[7].mean)
 
 
@@ -199,7 +199,7 @@ def test_the_first_target_stops(monkeypatch: pytest.MonkeyPatch) -> None:
     assert run(Targets(passes=5, error=0.9), noisy).moments.passes == 5
     assert run(Targets(passes=50, error=0.9), noisy).moments.passes == 8  # the first look
     clock = iter(np.arange(0, 1000, 3.0))
-    monkeypatch.setattr("nonexp.targets.perf_counter", lambda: next(clock))
+    monkeypatch.setattr("nonexp.rendering.targets.perf_counter", lambda: next(clock))
     done = run(Targets(passes=50, time=20), noisy)
     assert (done.stopped, done.moments.passes, done.seconds) == ("time", 6, 18.0)  # 7 would be late
     assert run(Targets(time=0.1), noisy).moments.passes == 1
@@ -207,7 +207,7 @@ def test_the_first_target_stops(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_progress_foretells_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = iter(np.arange(0, 1000, 2.0))
-    monkeypatch.setattr("nonexp.targets.perf_counter", lambda: next(clock))
+    monkeypatch.setattr("nonexp.rendering.targets.perf_counter", lambda: next(clock))
     rng = np.random.default_rng(6)
     state = Run(Targets(passes=2000, error=0.01), 4, Moments())
     for _ in range(40):

@@ -21,7 +21,7 @@ import numpy as np
 from matplotlib.colors import LogNorm
 
 import nonexp
-from nonexp import output
+from nonexp.images import exr as output
 
 ROOT = Path(__file__).resolve().parent.parent
 SIZE = {"width": 400, "height": 300}

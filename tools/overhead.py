@@ -20,7 +20,8 @@ import mitsuba as mi
 import numpy as np
 
 import nonexp
-from nonexp import machine, scenefile
+from nonexp.scene import load as scenefile
+from nonexp.system import machine
 
 ROOT = Path(__file__).resolve().parent.parent
 

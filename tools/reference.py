@@ -21,7 +21,10 @@ import mitsuba as mi
 from docstrings import field_docs, inline, manual
 
 import nonexp
-from nonexp import cli, fitting, models, output, parameters, plotting, plugins, rendering
+from nonexp import cli, fitting, models, parameters, rendering
+from nonexp.fitting import plot as plotting
+from nonexp.images import exr as output
+from nonexp.plugins import registration
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 
@@ -138,7 +141,10 @@ EXAMPLES: dict[str, tuple[str, dict[str, Any]]] = {
 
 def plugins_page() -> str:
     pages = [PLUGINS]
-    known = {**plugins._PLUGINS, "transmittance_<model>": ("texture", *plugins._TEXTURE)}
+    known = {
+        **registration._PLUGINS,
+        "transmittance_<model>": ("texture", *registration._TEXTURE),
+    }
     for name, (kind, module, cls_name) in known.items():
         cls = getattr(importlib.import_module(module), cls_name)
         xml, scene = EXAMPLES.get(name, (f'<{kind} type="{name}"/>', {"type": name}))
@@ -160,9 +166,9 @@ DOCUMENTED: dict[str, tuple[Any, tuple[str, ...]]] = {
     "nonexp.models": (models, ("create", "names", "register", "fit", "to_dict", "to_xml")),
     "nonexp.fitting": (fitting, ("Fit", "compare", "read_table")),
     "nonexp.parameters": (parameters, ("whole", "vector", "text", "function", "components")),
-    "nonexp.rendering": (rendering, ("plan", "planned", "passes", "Accumulator")),
-    "nonexp.output": (output, ("tone_map",)),
-    "nonexp.plotting": (plotting, ("plot_model", "plot_fit")),
+    "nonexp.rendering": (rendering, ("plan", "planned", "render_passes")),
+    "nonexp.images.exr": (output, ("tone_map",)),
+    "nonexp.fitting.plot": (plotting, ("plot_model", "plot_fit")),
 }
 
 

@@ -79,7 +79,7 @@ has_libatomic || { apt_install libatomic1 && has_libatomic; } ||
 
 # Prints what is wrong with LLVM, nothing if it works.
 llvm_problem() {
-    .venv/bin/python -c 'from nonexp import machine; print(machine.inspect().problem or "")'
+    .venv/bin/python -c 'from nonexp.system import machine; print(machine.inspect().problem or "")'
 }
 
 problem=$(llvm_problem)
@@ -91,7 +91,7 @@ if [ -n "$problem" ]; then
     problem=$(llvm_problem)
 fi
 if [ -n "$problem" ]; then
-    if .venv/bin/python -c 'from nonexp import machine as m; exit(not m.inspect().gpu)'; then
+    if .venv/bin/python -c 'from nonexp.system import machine as m; exit(not m.inspect().gpu)'; then
         printf 'setup: %s\n' "$problem" "rendering will use the GPU; the tests need LLVM" >&2
     else
         fail "$problem"

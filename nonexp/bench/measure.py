@@ -21,7 +21,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..rendering import Array, pass_seed
+from ..images.moments import Array
+from ..rendering.passes import pass_seed
 from . import statistics
 from .competitors import Competitor
 from .results import Row

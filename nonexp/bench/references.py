@@ -19,9 +19,10 @@ import mitsuba as mi
 import numpy as np
 import OpenEXR
 
-from .. import __version__
-from ..files import replacing
-from ..rendering import Accumulator, Array, pass_seed
+from ..images.moments import Accumulator, Array
+from ..rendering.passes import pass_seed
+from ..system.files import replacing
+from ..system.version import __version__
 from .competitors import reference_competitor
 from .scenes import Case, Filling, checkout
 from .statistics import Reference

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from scipy import stats
 
-from .. import plotting
-from ..files import replacing
+from ..fitting import plot as plotting
+from ..system.files import replacing
 from .competitors import COMPETITORS
 from .results import CaseResult, Results, Row
 from .statistics import LEVEL, Estimate

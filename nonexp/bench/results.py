@@ -14,7 +14,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from .. import __version__
+from ..system.version import __version__
 from .statistics import Bias, Estimate, Figures, Point
 
 __all__ = [

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from ..files import write_text
+from ..system.files import write_text
 from . import measure, references, report, results
 from .competitors import BASELINES, competing
 from .results import CaseResult, Results

@@ -13,7 +13,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from ..files import replacing, write_text
+from ..system.files import replacing, write_text
 from . import measure, report
 from .scenes import Filling, ball, camera, lit
 from .worker import Worker

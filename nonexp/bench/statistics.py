@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from ..rendering import Array
+from ..images.moments import Array
 
 __all__ = ["Bias", "Estimate", "Figures", "Point", "Reference", "analyse", "fit_slope"]
 

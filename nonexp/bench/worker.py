@@ -7,7 +7,7 @@ import multiprocessing
 from collections.abc import Callable
 from typing import Any
 
-from ..signals import sigint_ignored
+from ..system.signals import sigint_ignored
 
 __all__ = ["Worker", "WorkerError"]
 
@@ -57,7 +57,7 @@ class Worker:
 
 
 def _run(serve: Callable[..., None], pipe: Any, arguments: tuple[Any, ...]) -> None:
-    from ..scenefile import explain
+    from ..scene.messages import explain
 
     try:
         serve(pipe, *arguments)

@@ -11,75 +11,19 @@ whose key is the file's name. A class of your own joins them through :func:`regi
 
 from __future__ import annotations
 
-import dataclasses
 import importlib
-import inspect
 import pkgutil
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any
 
 from ..transmittance import Transmittance
+from ._notation import to_dict, to_xml
+from ._registry import create, names, on_register, register, registry
 
-__all__ = ["create", "fit", "names", "register", "registry", "to_dict", "to_xml"]
+__all__ = ["create", "fit", "names", "on_register", "register", "registry", "to_dict", "to_xml"]
 
-Model = TypeVar("Model", bound=type[Transmittance])
-
-registry: dict[str, type[Transmittance]] = {}
-"""Model classes by key."""
-
-on_register: list[Callable[[str], None]] = []
-"""Called with the key of each model registered from now on."""
-
-
-def register(cls: Model, key: str | None = None) -> Model:
-    """Make a model known under ``key`` (default: the name of the file that defines it).
-
-    Afterwards :func:`create` makes it, and scenes name it ``transmittance_<key>``. Returns the
-    class, so it also works as a decorator. Registering a key again replaces the model.
-
-    Raises ``TypeError`` when ``cls`` is no concrete, frozen dataclass derived from
-    :class:`~nonexp.transmittance.Transmittance`, ``ValueError`` when the key is no identifier.
-    """
-    key = cls.__module__.rpartition(".")[2] if key is None else key
-    if not (isinstance(cls, type) and issubclass(cls, Transmittance)):
-        raise TypeError(f"model {key!r} is {cls!r}: it must be a subclass of nonexp.Transmittance")
-    if inspect.isabstract(cls):
-        missing = ", ".join(sorted(cls.__abstractmethods__))
-        raise TypeError(f"model {key!r} ({cls.__name__}) does not define {missing}")
-    options = getattr(cls, "__dataclass_params__", None)
-    if options is None or not options.frozen or options.eq:
-        raise TypeError(
-            f"model {key!r} ({cls.__name__}) must be a dataclass(frozen=True, eq=False)"
-        )
-    if not key.isidentifier():
-        raise ValueError(f"model key is {key!r}: it must be a Python identifier")
-    registry[key] = cls
-    for listener in on_register:
-        listener(key)
-    return cls
-
-
-def names() -> list[str]:
-    """Keys of all models, sorted."""
-    return sorted(registry)
-
-
-def create(name: str, **parameters: Any) -> Transmittance:
-    """The model called ``name`` with the given parameters (defaults for the others).
-
-    Raises ``ValueError`` for an unknown model, an unknown or missing parameter, or a value out of
-    range.
-    """
-    try:
-        cls = registry[name]
-    except KeyError:
-        raise ValueError(f"model is {name!r}: it must be one of {', '.join(names())}") from None
-    allowed = [field.name for field in dataclasses.fields(cls)]  # type: ignore[arg-type]
-    for parameter in parameters:
-        if parameter not in allowed:
-            known = ", ".join(allowed) if allowed else "none"
-            raise ValueError(f"{name} has no parameter {parameter!r}: its parameters are {known}")
-    return cls(**parameters)
+fit: Callable[..., Any]
+"""Least-squares fit of a model to a transmittance: :func:`nonexp.fit`, which stands above."""
 
 
 def _register_package() -> None:
@@ -95,6 +39,3 @@ def _register_package() -> None:
 
 
 _register_package()
-
-from ..fitting import fit  # noqa: E402  (these read the registry)
-from ..notation import to_dict, to_xml  # noqa: E402

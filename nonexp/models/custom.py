@@ -10,9 +10,9 @@ from typing import Any, ClassVar, NamedTuple
 import drjit as dr
 import numpy as np
 
-from .. import machine
-from ..parameters import function
-from ..piecewise import Curve, Piecewise, hermite
+from ..system import machine
+from ..transmittance.parameters import function
+from ..transmittance.piecewise import Curve, Piecewise, hermite
 
 _END = 1e-8  # of ff, where its table ends
 _TOLERANCE = 8e-6  # of ff and pf at the probes: less than 1e-5 everywhere

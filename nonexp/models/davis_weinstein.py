@@ -8,9 +8,9 @@ import drjit as dr
 import numpy as np
 
 from ..numerics import log1p, select, with_derivative
-from ..parameters import parameter
-from ..special import LogLogSpline, log1p_excess_ratio
+from ..numerics.special import LogLogSpline, log1p_excess_ratio
 from ..transmittance import Draw, Transmittance
+from ..transmittance.parameters import parameter
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,12 +8,12 @@ from typing import Any, ClassVar
 import drjit as dr
 import numpy as np
 
-from ..choice import weights
-from ..laplace import AliasTable, LaplaceTransform
 from ..numerics import log1p, with_derivative
-from ..parameters import text, vector
-from ..quadrature import MOST_NODES, nodes_of_law
+from ..numerics.laplace import AliasTable, LaplaceTransform
+from ..numerics.quadrature import MOST_NODES, nodes_of_law
 from ..transmittance import Draw, Transmittance
+from ..transmittance.choice import weights
+from ..transmittance.parameters import text, vector
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,9 +6,9 @@ from typing import Any, ClassVar
 import drjit as dr
 
 from ..numerics import log1p, with_derivative
-from ..parameters import parameter, whole
-from ..special import poisson_sum
+from ..numerics.special import poisson_sum
 from ..transmittance import Draw, Transmittance
+from ..transmittance.parameters import parameter, whole
 
 
 @dataclass(frozen=True, eq=False)

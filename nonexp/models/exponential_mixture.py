@@ -7,10 +7,10 @@ from typing import Any, ClassVar
 
 import drjit as dr
 
-from ..choice import check_extinction, pick, weights
 from ..numerics import log1p, select
-from ..parameters import check, vector
 from ..transmittance import Draw, Transmittance
+from ..transmittance.choice import check_extinction, pick, weights
+from ..transmittance.parameters import check, vector
 
 # Below it float32 has no normal numbers; 1 / it stands for infinity, which zeros turn into NaN.
 _VANISHING = 1e-37

@@ -6,8 +6,8 @@ from typing import Any, ClassVar
 import drjit as dr
 
 from ..numerics import expm1, log1p, scaled_log1p
-from ..parameters import parameter
 from ..transmittance import Draw, Transmittance
+from ..transmittance.parameters import parameter
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from ..parameters import parameter
 from ..transmittance import Transmittance
+from ..transmittance.parameters import parameter
 from .power import BoundedPower
 
 

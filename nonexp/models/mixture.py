@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from ..choice import check_extinction, pick, replayed, weights
-from ..parameters import components, number, vector
 from ..transmittance import Draw, Transmittance
+from ..transmittance.choice import check_extinction, pick, replayed, weights
+from ..transmittance.parameters import components, number, vector
 from .constant import Constant
 from .exponential import Exponential
 from .exponential_mixture import ExponentialMixture

@@ -6,8 +6,8 @@ from typing import Any, ClassVar
 import drjit as dr
 
 from ..numerics import expm1, filled, log1p, select
-from ..parameters import parameter
 from ..transmittance import Draw, Transmittance
+from ..transmittance.parameters import parameter
 
 
 class BoundedPower:

@@ -6,8 +6,8 @@ from typing import Any, ClassVar
 import drjit as dr
 
 from ..numerics import filled, select
-from ..parameters import parameter, whole
 from ..transmittance import Draw, Transmittance
+from ..transmittance.parameters import parameter, whole
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,8 +10,8 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from ..parameters import text, vector
-from ..piecewise import Curve, Piecewise, hermite
+from ..transmittance.parameters import text, vector
+from ..transmittance.piecewise import Curve, Piecewise, hermite
 
 # Tables in single precision are convex, or straight, only up to this.
 _ROUNDING = 2e-7

@@ -1,0 +1,46 @@
+"""``nonexp doctor``: whether this machine can render."""
+
+from __future__ import annotations
+
+import argparse
+import platform
+from importlib import metadata
+from typing import Any
+
+from ..system.version import __version__
+
+__all__ = ["add"]
+
+
+def add(commands: Any) -> None:
+    """Add the command to those of the parser."""
+    doctor = commands.add_parser(
+        "doctor",
+        help="check whether this machine can render",
+        description="Say whether this machine can render, and what to do if it cannot.",
+    )
+    doctor.set_defaults(run=_doctor)
+
+
+def _doctor(_options: argparse.Namespace) -> int:
+    from ..system import machine
+
+    report = machine.inspect()
+    versions = ", ".join(f"{name} {metadata.version(name)}" for name in ("mitsuba", "drjit"))
+    llvm = ".".join(map(str, report.llvm_version)) if report.llvm_version else "none"
+    rows = {
+        "python": f"{platform.python_version()} on {platform.system()} {platform.machine()}",
+        "packages": f"nonexp {__version__}, {versions}",
+        "LLVM": f"{llvm} ({report.llvm_path})" if report.llvm_path else llvm,
+        "GPU": "usable" if report.gpu else "none (an NVIDIA GPU would be used)",
+        "variants": ", ".join(report.variants) or "none",
+    }
+    for name, value in rows.items():
+        print(f"{name:9} {value}")
+    if report.problem:
+        print(f"problem   {report.problem}")
+    if not report.variants:
+        print("This machine cannot render.")
+        return 2
+    print(f"This machine can render, by default with {machine.choose_variant(report.gpu)}.")
+    return 0

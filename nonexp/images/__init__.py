@@ -1,0 +1,1 @@
+"""Images: what they hold, their files, comparing, merging and denoising them."""

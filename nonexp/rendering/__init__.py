@@ -1,0 +1,14 @@
+"""Rendering in passes.
+
+=================  ===============================================================================
+``render``         a render from its first pass to its last, and its resumption
+``passes``         how samples are divided, and the passes themselves
+``targets``        when a render is good enough
+``checkpoint``     its state on disk
+``cluster``        rendering on many machines
+=================  ===============================================================================
+"""
+
+from .passes import Plan, pass_seed, plan, planned, render_passes
+
+__all__ = ["Plan", "pass_seed", "plan", "planned", "render_passes"]

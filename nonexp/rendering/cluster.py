@@ -1,0 +1,244 @@
+"""Rendering on many machines with Dask distributed (the extra ``cluster``).
+
+Passes are tasks. A worker gets the scene as an archive of its files, unpacks it once into a folder
+named by its checksum, and renders pass k with the seed of pass k, whichever worker it is; the
+images are taken in the order of the passes. So the result is that of one machine, bit for bit, if
+all have the same type of processor. Dask gives a task to another worker when one is lost; a pass
+counts once, by its number.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import importlib
+import io
+import itertools
+import logging
+import os
+import platform
+import re
+import shutil
+import tempfile
+import threading
+import warnings
+import zipfile
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..images.moments import Array
+from ..scene import identity as sceneid
+from ..scene import load as scenefile
+from ..scene.files import SceneFiles
+from ..system.signals import sigint_ignored
+from .passes import Plan, render_passes
+
+__all__ = ["Cluster", "Job", "connect", "require"]
+
+_TIMEOUT = 10  # seconds until a scheduler must have answered
+_ENDLESS = 2**62
+_THREADS = "NONEXP_THREADS"  # environment variable: threads that a worker may use
+
+
+def require() -> None:
+    """Raise ``ImportError``, in one sentence, where Dask distributed is missing."""
+    try:
+        import distributed  # noqa: F401
+    except ImportError:
+        raise ImportError(
+            "--cluster needs Dask distributed, which is not installed: "
+            "pip install 'nonexp[cluster]'"
+        ) from None
+
+
+# --------------------------------------------------------------------- on a worker
+
+
+@dataclass(frozen=True)
+class Job:
+    """What a worker has to know besides the scene's files."""
+
+    root: str
+    """scene file in the archive"""
+    parameters: Mapping[str, str]
+    size: tuple[int, int] | None
+    variant: str
+    plan: Plan
+    seed: int
+    versions: Mapping[str, str]
+
+
+_lock = threading.Lock()  # Dr.Jit uses all cores for one pass
+_loaded: dict[str, Any] = {}
+
+
+def render_pass(archive: bytes, job: Job, number: int) -> Any:
+    """Render pass ``number``; runs on a worker."""
+    import nonexp  # noqa: F401  (registers the plugins)
+
+    with _lock:
+        mi.set_variant(job.variant)
+        if _THREADS in os.environ:
+            dr.set_thread_count(int(os.environ[_THREADS]))
+        mine = sceneid.versions()
+        differ = [name for name, value in job.versions.items() if mine.get(name) != value]
+        if differ:
+            here, there = (
+                ", ".join(f"{k} {v.get(k)}" for k in differ) for v in (mine, job.versions)
+            )
+            raise ValueError(
+                f"a worker on {platform.node()} has {here} instead of {there}: "
+                "all machines must have the same versions"
+            )
+        scene = _scene(archive, job)
+        todo = Plan(number + 1, job.plan.pass_spp)
+        (image,) = render_passes(scene, todo, job.seed, start=number)
+        single = "double" not in job.variant
+        return image.astype(np.float32) if single else image  # half the traffic, same bits
+
+
+def _scene(archive: bytes, job: Job) -> Any:
+    """The scene, from memory where this process has it already."""
+    name = hashlib.blake2b(archive, digest_size=16).hexdigest()
+    key = f"{name} {job.root} {sorted(job.parameters.items())} {job.size} {job.variant}"
+    if key not in _loaded:
+        folder = _unpack(archive, name)
+        mi.set_log_level(mi.LogLevel.Error)
+        _loaded.clear()  # one scene at a time is enough
+        _loaded[key] = scenefile.load(folder / job.root, job.parameters, job.size).scene
+    return _loaded[key]
+
+
+def _unpack(archive: bytes, name: str) -> Path:
+    """Folder with the files of an archive, which may be there already."""
+    user = re.sub(r"\W", "_", os.environ.get("USER") or str(os.getpid()))
+    above = Path(tempfile.gettempdir()) / f"nonexp-{user}"
+    folder = above / name
+    if not folder.is_dir():
+        above.mkdir(mode=0o700, exist_ok=True)
+        aside = Path(tempfile.mkdtemp(dir=above))
+        with zipfile.ZipFile(io.BytesIO(archive)) as files:
+            files.extractall(aside)
+        try:
+            aside.rename(folder)
+        except OSError:  # another process was first
+            shutil.rmtree(aside)
+    return folder
+
+
+# --------------------------------------------------------------------- where the image is made
+
+
+class Cluster:
+    """A connection to a scheduler; ``dashboard`` is the address of Dask's page about it."""
+
+    def __init__(self, client: Any, tell: Callable[[str], Any] = lambda text: None) -> None:
+        self._client = client
+        self._tell = tell
+        self.dashboard = str(client.dashboard_link or "")
+
+    def workers(self) -> int:
+        """Number of workers at present."""
+        return len(self._client.scheduler_info(n_workers=-1)["workers"])
+
+    def passes(self, files: SceneFiles, job: Job, start: int = 0) -> Iterator[Array]:
+        """Render the passes of a job, from number ``start`` on; yields them in order.
+
+        Not more than twice as many passes as there are workers, and two, are under way, so that
+        memory stays flat. Raises ``RuntimeError`` where a pass fails or ends the workers that
+        try it.
+        """
+        from distributed import CancelledError
+        from distributed.comm.core import CommClosedError
+
+        plan = job.plan
+        numbers = range(start, _ENDLESS if plan.passes is None else plan.passes)
+        run = os.urandom(8).hex()
+        under_way: dict[int, Any] = {}
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "Sending large graph", UserWarning)
+            archive = self._client.submit(_same, files.pack(), key=f"nonexp-scene-{run}")
+        todo = iter(numbers)
+        try:
+            for number in numbers:
+                for ahead in itertools.islice(todo, self._room(under_way)):
+                    under_way[ahead] = self._client.submit(
+                        render_pass, archive, job, ahead, key=f"nonexp-{run}-{ahead}", pure=False
+                    )
+                yield np.asarray(self._result(under_way.pop(number)), dtype=np.float64)
+        except (CancelledError, CommClosedError):  # the client cancels what it cannot ask about
+            raise RuntimeError("the scheduler cannot be reached any more") from None
+        finally:
+            with contextlib.suppress(Exception):
+                self._client.cancel([*under_way.values(), archive])
+
+    def _room(self, under_way: Mapping[int, Any]) -> int:
+        return max(0, 2 * self.workers() + 2 - len(under_way))
+
+    def _result(self, future: Any) -> Any:
+        """What a task gives, however long it takes; tells where there are no workers."""
+        from distributed import KilledWorker, TimeoutError
+
+        told = False
+        while True:
+            try:
+                return future.result(timeout=2)
+            except TimeoutError:
+                if self._client.status not in ("running", "connecting"):
+                    raise RuntimeError("the scheduler cannot be reached any more") from None
+                if not told and not self.workers():
+                    told = True
+                    self._tell("there are no workers: waiting for one to join")
+            except KilledWorker as error:
+                raise RuntimeError(
+                    "a pass ended every worker that tried it (too little memory?)"
+                ) from error
+
+
+def _same(archive: bytes) -> bytes:
+    """Carries the archive: a result of a task can be made again when a worker is lost."""
+    return archive
+
+
+@contextlib.contextmanager
+def connect(where: str, tell: Callable[[str], Any] = lambda text: None) -> Iterator[Cluster]:
+    """Connect to a scheduler by its address, such as tcp://host:8786.
+
+    ``local`` starts one with two workers on this machine, ``local:N`` with N, which share its
+    cores. Raises ``ImportError`` without Dask, ``OSError`` if there is no scheduler.
+    """
+    require()
+    distributed: Any = importlib.import_module("distributed")  # whose functions have no types
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # we say it in a sentence
+    match = re.fullmatch(r"local(?::([1-9]\d{0,2}))?", where)
+    with contextlib.ExitStack() as stack:
+        address: Any = where
+        if match:
+            number = int(match[1] or 2)
+            threads = max(1, (os.cpu_count() or 1) // number)
+            with sigint_ignored():
+                local = distributed.LocalCluster(
+                    n_workers=number,
+                    threads_per_worker=1,
+                    dashboard_address="127.0.0.1:0",
+                    memory_limit=0,
+                    silence_logs=logging.CRITICAL,
+                    env={_THREADS: str(threads)},
+                )
+            address = stack.enter_context(local)
+        try:
+            client = stack.enter_context(
+                distributed.Client(address, timeout=_TIMEOUT, set_as_default=False)
+            )
+        except (OSError, ValueError) as error:
+            raise OSError(
+                f"--cluster is {where!r}: no scheduler answers there "
+                "(it must be local, local:N, or an address such as tcp://host:8786)"
+            ) from error
+        yield Cluster(client, tell)

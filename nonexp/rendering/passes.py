@@ -1,0 +1,168 @@
+"""The passes of a render: how samples are divided, seeds, and rendering them one by one."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..images.moments import Array
+
+__all__ = [
+    "MAX_PASS_SAMPLES",
+    "MIN_PASSES",
+    "Plan",
+    "pass_seed",
+    "plan",
+    "planned",
+    "render_passes",
+]
+
+MIN_PASSES = 8
+"""Fewest passes, where the number of samples allows: below, the standard error is a guess."""
+
+MAX_PASS_SAMPLES = 1 << 22
+"""Most samples of one pass over all pixels: bounds memory, and the wait between two passes."""
+
+# Dr.Jit adds samples to pixels in parallel. The sum is the same in every run if no two threads
+# share a pixel: with passes of a power of two that is so for large passes (the work is split in
+# multiples of 2^14 samples from 2^15 per thread on) and for at most two SIMD packets per pixel.
+# The bounds hold for up to 64 threads and packets of 8 or more.
+_LARGE_PASS = 1 << 21
+_TWO_PACKETS = 16
+
+
+# --------------------------------------------------------------------- plan
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How the samples of a pixel are divided: ``passes`` passes of ``pass_spp`` each.
+
+    ``passes`` is None where time or noise decides.
+    """
+
+    passes: int | None
+    pass_spp: int
+
+    @property
+    def spp(self) -> int | None:
+        """Samples per pixel in total."""
+        return None if self.passes is None else self.passes * self.pass_spp
+
+
+def plan(spp: int | None, pixels: int) -> Plan:
+    """Divide ``spp`` samples per pixel into passes, for an image of ``pixels`` pixels.
+
+    A pass has a power of two of samples per pixel, no more than an eighth of ``spp`` and no more
+    than 2^22 in the whole image; ``spp`` is rounded up to whole passes. Small images get passes
+    of at most 16, which repeat to the last bit; so do all whose ``spp`` is None, not known. The
+    plan depends on nothing else, so that it is the same on every machine.
+
+    >>> plan(64, 480 * 360), plan(1000, 480 * 360).spp
+    (Plan(passes=8, pass_spp=8), 1008)
+    """
+    if spp is None:
+        return Plan(None, _power_of_two(min(_TWO_PACKETS, MAX_PASS_SAMPLES // pixels)))
+    if not isinstance(spp, int) or spp < 1:
+        raise ValueError(f"spp is {spp}: it must be a whole number >= 1")
+    pass_spp = _power_of_two(min(spp // MIN_PASSES, MAX_PASS_SAMPLES // pixels))
+    if pixels * pass_spp < _LARGE_PASS:
+        pass_spp = min(pass_spp, _TWO_PACKETS)
+    return Plan(-(-spp // pass_spp), pass_spp)
+
+
+def planned(
+    scene: mi.Scene, spp: int | None = None, sensor: int = 0, *, pass_spp: int | None = None
+) -> Plan:
+    """The plan by which :func:`render` renders ``spp`` samples per pixel, or the scene's own.
+
+    A sampler that rounds its number of samples, such as ``stratified``, changes the pass size.
+    ``pass_spp`` chooses it.
+    """
+    return plan_for(scene, spp or sampler_of(scene, sensor).sample_count(), sensor, pass_spp)
+
+
+def plan_for(scene: mi.Scene, spp: int | None, sensor: int, pass_spp: int | None) -> Plan:
+    width, height = scene.sensors()[sensor].film().crop_size()
+    wanted = plan(spp, width * height)
+    if pass_spp is not None:
+        if not isinstance(pass_spp, int) or pass_spp < 1:
+            raise ValueError(f"pass_spp is {pass_spp}: it must be a whole number >= 1")
+        wanted = Plan(None if spp is None else -(-spp // pass_spp), pass_spp)
+    sampler = sampler_of(scene, sensor)
+    before = sampler.sample_count()
+    sampler.set_sample_count(wanted.pass_spp)
+    size = sampler.sample_count()
+    sampler.set_sample_count(before)
+    return Plan(wanted.passes, size)
+
+
+def sampler_of(scene: mi.Scene, sensor: int) -> Any:
+    return scene.sensors()[sensor].sampler()
+
+
+def _power_of_two(limit: int) -> int:
+    """Largest power of two up to ``limit``; at least 1."""
+    return 1 << max(limit, 1).bit_length() - 1
+
+
+def pass_seed(seed: int, number: int) -> int:
+    """Seed (32 bits) that Mitsuba gets for pass ``number`` of a run: a hash of both.
+
+    Runs with neighbouring seeds therefore share no pass, as they would with ``seed + number``.
+    """
+    digest = hashlib.blake2b(f"{seed} {number}".encode(), digest_size=4).digest()
+    return int.from_bytes(digest, "little")
+
+
+# --------------------------------------------------------------------- passes
+
+
+def render_passes(
+    scene: mi.Scene,
+    plan: Plan,
+    seed: int = 0,
+    *,
+    sensor: int = 0,
+    integrator: Any = None,
+    start: int = 0,
+) -> Iterator[Array]:
+    """Render the passes of a plan one after the other, from number ``start`` on.
+
+    Yields one image per pass, shape (height, width, 3): red, green and blue, equal in monochrome
+    variants. Alpha and other channels of the film are dropped. ``integrator`` is by default the
+    scene's.
+    """
+    camera = scene.sensors()[sensor]
+    integrator = scene.integrator() if integrator is None else integrator
+    film = camera.film()
+    colours = film.base_channels_count()
+    of_xyz = _xyz_to_rgb() if re.search(r"pixel_format = xyz", str(film)) else None
+    for number in itertools.count(start) if plan.passes is None else range(start, plan.passes):
+        with dr.suspend_grad():
+            image = integrator.render(
+                scene, sensor=camera, seed=pass_seed(seed, number), spp=plan.pass_spp
+            )
+        values = _rgb(np.array(image, dtype=np.float64), colours)
+        yield values if of_xyz is None else values @ of_xyz
+
+
+def _rgb(image: Array, base_channels: int) -> Array:
+    """The colour of a developed film, whose channels are Y, YA, RGB or RGBA, then others."""
+    if base_channels >= 3:
+        return image[:, :, :3]
+    return np.repeat(image[:, :, :1], 3, axis=2)
+
+
+def _xyz_to_rgb() -> Array:
+    """The matrix from CIE XYZ to linear RGB, for rows."""
+    rows = [np.array(mi.xyz_to_srgb(mi.Color3f(unit))) for unit in np.eye(3).tolist()]
+    return np.array(rows, dtype=np.float64).reshape(3, 3)

@@ -1,0 +1,134 @@
+"""When a render is good enough: targets of samples, time and noise, and how far it is."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from time import perf_counter
+
+from ..images.moments import Array, Moments, Noise
+
+__all__ = ["Progress", "Run", "Targets", "is_checked"]
+
+_UNKNOWN = Noise(math.nan, math.nan)
+
+
+@dataclass(frozen=True)
+class Targets:
+    """A render is finished at the first of these that is reached; None asks for nothing."""
+
+    passes: int | None = None
+    """number of passes"""
+    time: float | None = None
+    """seconds spent; no pass is begun that would end later"""
+    error: float | None = None
+    """relative standard error of the image, held with 95 % confidence: :class:`Noise`"""
+
+    def reached(self, done: int, seconds: float, pass_seconds: float, noise: Noise) -> str | None:
+        """What is reached: spp, error, time, or None."""
+        if self.passes is not None and done >= self.passes:
+            return "spp"
+        if self.error is not None and noise.bound <= self.error:
+            return "error"
+        if self.time is not None and done and seconds + pass_seconds > self.time:
+            return "time"
+        return None
+
+    def seconds_left(self, done: int, seconds: float, pass_seconds: float, noise: Noise) -> float:
+        """Estimated time until the first is reached; infinite where nobody can say."""
+        left = [math.inf]
+        if self.passes is not None:
+            left.append((self.passes - done) * pass_seconds)
+        if self.time is not None:
+            left.append(self.time - seconds)
+        if self.error is not None and noise.bound > 0:
+            left.append(done * ((noise.bound / self.error) ** 2 - 1) * pass_seconds)
+        return max(min(left), 0.0)
+
+
+def is_checked(passes: int) -> bool:
+    """Whether noise is looked at after that many passes: each from 8 to 40, then at steps of 5 %.
+
+    The passes at which a run can stop for its error therefore do not depend on the machine, and
+    are few: each look is a chance to stop at an image that happens to seem less noisy than it is.
+    """
+    look = 8
+    while look < passes:
+        look += max(1, look // 20)
+    return look == passes
+
+
+@dataclass(frozen=True)
+class Progress:
+    """State of a run after a pass. Passes and time before a resumption count."""
+
+    done: int
+    """passes so far"""
+    passes: int | None
+    """passes in all, None where time or noise decides"""
+    seconds: float
+    """time spent"""
+    pass_spp: int
+    """samples per pixel of a pass"""
+    pass_seconds: float
+    """time that a pass takes at present"""
+    noise: Noise
+    """how noisy the image is, at the latest look; NaN before the first"""
+    left: float
+    """estimated seconds until the first target is reached"""
+
+    @property
+    def spp(self) -> int:
+        """Samples per pixel so far."""
+        return self.done * self.pass_spp
+
+
+class Run:
+    """A render on its way to its targets, from the ``moments`` and ``seconds`` that it has."""
+
+    def __init__(
+        self, targets: Targets, pass_spp: int, moments: Moments, seconds: float = 0.0
+    ) -> None:
+        self.moments = moments
+        self.seconds = seconds
+        self._targets = targets
+        self._pass_spp = pass_spp
+        self._now = perf_counter()
+        self._recent: deque[float] = deque(maxlen=8)
+        self._noise = _UNKNOWN
+        self._outdated = is_checked(moments.passes)
+        self.stopped = self._reached()
+        """target that is reached, or None"""
+
+    def take(self, image: Array) -> None:
+        """Add the image of a pass."""
+        self.moments = self.moments.plus(image)
+        now = perf_counter()
+        self._recent.append(now - self._now)
+        self.seconds += now - self._now
+        self._now = now
+        self._outdated |= is_checked(self.moments.passes)
+        self.stopped = self._reached()
+
+    def progress(self) -> Progress:
+        """How far it is."""
+        state = (self.moments.passes, self.seconds, self._pass_seconds(), self._look())
+        done, seconds, pass_seconds, noise = state
+        left = self._targets.seconds_left(*state)
+        return Progress(
+            done, self._targets.passes, seconds, self._pass_spp, pass_seconds, noise, left
+        )
+
+    def _reached(self) -> str | None:
+        noise = self._look() if self._targets.error is not None else _UNKNOWN
+        return self._targets.reached(self.moments.passes, self.seconds, self._pass_seconds(), noise)
+
+    def _look(self) -> Noise:
+        """Noise at the latest look; found only when somebody asks, for it takes a while."""
+        if self._outdated and is_checked(self.moments.passes):
+            self._noise, self._outdated = Noise.of(self.moments), False
+        return self._noise
+
+    def _pass_seconds(self) -> float:
+        return sum(self._recent) / max(len(self._recent), 1)

@@ -1,0 +1,11 @@
+"""Scenes and the files that they come from.
+
+=================  ===============================================================================
+``load``           scene files with parameters and an image size
+``parameters``     the parameters of a scene file
+``files``          the files that make up a scene
+``identity``       what identifies a render
+``walk``           the objects that a scene holds
+``messages``       what is wrong, in one sentence
+=================  ===============================================================================
+"""

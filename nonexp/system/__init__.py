@@ -1,0 +1,1 @@
+"""What stands below all: this machine, files, signals, the terminal. No rendering here."""
