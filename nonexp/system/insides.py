@@ -136,7 +136,10 @@ def faces(mesh: Any) -> Any:
 
 
 def has_vertex_normals(mesh: Any) -> bool:
-    """Whether a mesh interpolates normals. 3.9: ``has_vertex_normals()``; 3.10: ``has_normals()``."""
+    """Whether a mesh interpolates normals.
+
+    3.9: ``has_vertex_normals()``; 3.10: ``has_normals()``.
+    """
     return bool(mesh.has_normals() if hasattr(mesh, "has_normals") else mesh.has_vertex_normals())
 
 
