@@ -14,6 +14,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..system import insides
 from ..system.version import __version__
 from . import files as scenefiles
 
@@ -37,7 +38,7 @@ def of_scene(scene: mi.Scene, integrator: Any = None) -> dict[str, Any]:
     integrator = scene.integrator() if integrator is None else integrator
     with dr.suspend_grad():
         parameters = mi.traverse(scene)
-        names = _anonymous([str(name) for name in parameters.keys()])
+        names = insides.anonymous([str(name) for name in parameters.keys()])
         values = {
             name: _hash(_bytes(parameters[key]))
             for name, key in zip(names, parameters.keys(), strict=True)
@@ -47,7 +48,7 @@ def of_scene(scene: mi.Scene, integrator: Any = None) -> dict[str, Any]:
             for name, value in sorted(getattr(integrator, "__dict__", {}).items())
             if isinstance(value, (bool, int, float, str))
         }
-        (text,) = _anonymous([f"{scene}\n{integrator}"])
+        (text,) = insides.anonymous([f"{scene}\n{integrator}"])
         text = re.sub(r"\b(sample_count|samples_per_wavefront|wavefront_size) = .*", "", text)
     return {
         "integrator": type(integrator).__name__,
@@ -111,15 +112,5 @@ def _bytes(value: Any) -> bytes:
     except (TypeError, ValueError, RuntimeError):
         array = np.array(None)
     if array.dtype == object:
-        return _anonymous([repr(value)])[0].encode()
+        return insides.anonymous([repr(value)])[0].encode()
     return f"{array.dtype} {array.shape} ".encode() + array.tobytes()
-
-
-def _anonymous(texts: list[str]) -> list[str]:
-    """Texts with the addresses of objects replaced by numbers, in the order of their appearance."""
-    seen: dict[str, str] = {}
-
-    def number(match: re.Match[str]) -> str:
-        return seen.setdefault(match[0], f"object {len(seen)}")
-
-    return [re.sub(r"object_\d{6,}|0x[0-9a-f]{6,}", number, text) for text in texts]

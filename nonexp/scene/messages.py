@@ -23,9 +23,8 @@ def explain(error: BaseException, parameters: Mapping[str, str] | None = None) -
     text = insides.SOURCE_POSITION.sub("", str(error)).strip() or type(error).__name__
     places = insides.SCENE_POSITION.findall(text)
     place = f"{places[-1][0]}, line {places[-1][1]}: " if places else ""
-    if "Traceback (most recent call last)" in text and (
-        causes := list(insides.PYTHON_CAUSE.finditer(text))
-    ):
+    causes = list(insides.PYTHON_CAUSE.finditer(text))
+    if causes and "Traceback (most recent call last)" in text:
         text = text[causes[-1].end() :]
     elif match := insides.UNUSED_PROPERTY.search(text):
         plugin, name, value = match.groups()
