@@ -20,9 +20,11 @@ from nonexp.scene import (
 from nonexp.scene import (
     load as scenefile,
 )
+from nonexp.scene import parse
 from nonexp.scene import (
     walk as scenewalk,
 )
+from nonexp.scene.messages import SceneError
 
 SCENES = Path(__file__).resolve().parent.parent / "scenes"
 
@@ -274,4 +276,88 @@ def test_files_are_those_that_mitsuba_takes(
 
 def test_parameters_are_put_in_as_mitsuba_does() -> None:
     values = {"a": "1", "ab": r"x\1$a"}
-    assert scenefile.substituted(r"$ab.ply $a_b \$a", values) == r"x\11.ply 1_b \$a"
+    assert parse.substituted(r"$ab.ply $a_b \$a", values) == r"x\11.ply 1_b \$a"
+
+
+# --------------------------------------------------------------------- what the parser drops
+
+
+def digests(scene: Path, **parameters: str) -> set[str]:
+    return set(scenefiles.collect(scene, parameters).digests())
+
+
+def test_includes_without_objects_count(scene: Path) -> None:
+    """Mitsuba's parser forgets an included file that holds defaults alone."""
+    (scene.parent / "settings.xml").write_text(
+        '<scene version="3.0.0"><default name="medium" value="table"/>'
+        '<default name="table" value="used.csv"/></scene>'
+    )
+    first = '<scene version="3.0.0"><default name="set" value="settings"/>'
+    first += '<include filename="$set.xml"/>'
+    scene.write_text(SCENE.replace('<scene version="3.0.0">', first))
+    expected = {"a.xml", "settings.xml", "parts/table.xml", "parts/cube.ply", "used.csv"}
+    assert digests(scene) == expected
+    assert digests(scene, table="unused.csv") == expected - {"used.csv"} | {"unused.csv"}
+    with pytest.raises(SceneError, match=r"parameter 'tabel'.*\(did you mean 'table'\?\)"):
+        scenefile.load(scene, {"tabel": "used.csv"})
+
+
+def test_files_of_spectra_count(scene: Path) -> None:
+    """Mitsuba's parser reads them and forgets their names."""
+    (scene.parent / "lamp.spd").write_text("400 1\n700 2\n")
+    lamp = '<default name="lamp" value="lamp"/><emitter type="constant">'
+    lamp += '<spectrum name="radiance" filename="$lamp.spd"/></emitter>'
+    scene.write_text(SCENE.replace('<emitter type="constant"/>', lamp))
+    assert "lamp.spd" in digests(scene)
+
+
+def test_only_strings_name_files(scene: Path) -> None:
+    for name in ("medium", "3", "own", "perspective", "3.0.0"):
+        (scene.parent / name).write_text("")
+    assert digests(scene) == {"a.xml", "halved.py", "parts/cube.ply", "parts/own.xml"}
+
+
+def test_a_path_in_an_included_file_ends_with_it(scene: Path) -> None:
+    for place in ("shelf", "parts/shelf"):
+        (scene.parent / place).mkdir()
+    cube = (scene.parent / "parts/cube.ply").read_bytes()
+    (scene.parent / "parts/shelf/shelved.ply").write_bytes(cube)
+    own = scene.parent / "parts/own.xml"
+    own.write_text(
+        OWN.replace('<scene version="3.0.0">', '<scene version="3.0.0"><path value="shelf"/>')
+    )
+    shape = '<shape type="ply"><string name="filename" value="shelved.ply"/></shape>'
+    scene.write_text(SCENE.replace("</scene>", shape + "</scene>"))
+    assert "parts/shelf/shelved.ply" not in digests(scene)
+    with pytest.raises(
+        SceneError, match=r'a.xml, line 22: .*PLY file "shelved.ply": file not found'
+    ):
+        scenefile.load(scene, {})  # nor does Mitsuba find it
+
+
+@pytest.mark.parametrize(
+    ("parameters", "message"),
+    [
+        ({"table": "used.csv"}, "parameter 'table', given as 'used.csv', is not used: nothing in"),
+        ({"filename": "a"}, "parameter 'filename' cannot be given: Mitsuba reserves that name"),
+        ({"medium": "circle"}, "Exceeded maximum include recursion depth"),
+        ({"medium": "broken"}, 'Parsing of XML file ".*broken.xml" failed'),
+        ({"medium": "undefined"}, r"undefined.xml, line 1: undefined parameter: \$nowhere"),
+        ({"medium": "undefined", "now": "1"}, r"no parameter 'now', .* mean 'nowhere'\?\)"),
+    ],
+)
+def test_what_is_wrong_is_one_sentence(
+    scene: Path, parameters: dict[str, str], message: str
+) -> None:
+    parts = scene.parent / "parts"
+    (parts / "circle.xml").write_text(
+        '<scene version="3.0.0"><include filename="circle.xml"/></scene>'
+    )
+    (parts / "broken.xml").write_text("<scene")
+    (parts / "undefined.xml").write_text('<scene version="3.0.0"><path value="$nowhere"/></scene>')
+    core: Any = mi
+    before = [str(folder) for folder in core.file_resolver()]
+    for ask in (scenefile.load, scenefiles.collect):
+        with pytest.raises(SceneError, match=message):
+            ask(scene, parameters)
+        assert [str(folder) for folder in core.file_resolver()] == before

@@ -9,9 +9,9 @@ from typing import Any
 
 import mitsuba as mi
 
-from . import parameters as scene_parameters
 from . import walk
-from .messages import SceneError, explain
+from .messages import SceneError
+from .parse import parsed
 
 __all__ = ["LoadedScene", "load"]
 
@@ -40,21 +40,7 @@ def load(
     ``parameters`` replace the file's ``<default>`` values; ``size`` (width, height) replaces the
     size of every film, and scales crop windows with it. Raises :class:`SceneError`.
     """
-    if not path.is_file():
-        what = "is a folder" if path.is_dir() else "does not exist"
-        raise SceneError(f"scene file {str(path)!r} {what}: it must be a Mitsuba scene (.xml)")
-    known = scene_parameters.names(path, dict(parameters))
-    for name, value in parameters.items():
-        if name not in known:
-            raise SceneError(scene_parameters.unknown(path, name, value, sorted(known)))
-
-    core: Any = mi  # whose stubs know no file resolvers
-    resolver = core.file_resolver()
-    core.set_file_resolver(_with_folder(resolver, path.parent))
-    try:
-        config = mi.parser.ParserConfig(mi.variant() or "")
-        config.merge_meshes = False
-        state: Any = mi.parser.parse_file(config, str(path), **parameters)
+    with parsed(path, parameters) as (config, state):
         if state.root.type != mi.ObjectType.Scene:
             raise SceneError(
                 f"scene file {str(path)!r} holds a {state.root.props.plugin_name()}, "
@@ -67,15 +53,10 @@ def load(
             for node in state.nodes
             if node.type == mi.ObjectType.Integrator
         )
+        config.merge_meshes = False
         mi.parser.transform_all(config, state)
         _merge_meshes(state)
         scene: Any = mi.parser.instantiate(config, state)
-    except SceneError:
-        raise
-    except Exception as error:
-        raise SceneError(explain(error, parameters)) from error
-    finally:
-        core.set_file_resolver(resolver)
 
     if not scene.sensors():
         raise SceneError(f"scene file {str(path)!r} has no sensor: add a <sensor> to render from")
@@ -85,12 +66,6 @@ def load(
             '<integrator type="nonexp_volpath"/>'
         )
     return LoadedScene(scene, integrators)
-
-
-def _with_folder(resolver: Any, folder: Path) -> Any:
-    copy: Any = mi.FileResolver(resolver)
-    copy.prepend(str(folder))
-    return copy
 
 
 def _resize(state: Any, size: tuple[int, int]) -> None:

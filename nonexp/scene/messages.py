@@ -38,6 +38,9 @@ def explain(error: BaseException, parameters: Mapping[str, str] | None = None) -
             text += f": it must be one of {', '.join(f'transmittance_{n}' for n in models.names())}"
         else:
             text += ": it must be the name of a Mitsuba or nonexp plugin"
+    elif match := insides.UNUSED_PARAMETER.search(text):
+        given = f"parameter {match[1]!r}, given as {match[2]!r}"
+        text = f"{given}, is not used: nothing in the scene or its includes refers to it"
     text = " ".join(insides.SCENE_POSITION.sub("", text).split())
     for name, value in (parameters or {}).items():
         if f'"{value}"' in text:

@@ -96,6 +96,7 @@ SOURCE_POSITION = re.compile(r"\[\w+\.(?:cpp|h|mm):\d+\] ")
 
 SCENE_POSITION = re.compile(
     r"(?:At|While loading|Error while loading) (\S+) \(line (\d+), col \d+\): "
+    r"(?:while processing <include>:\s)?"
 )
 """Position in a scene file: (file, line)."""
 
@@ -107,7 +108,12 @@ UNUSED_PROPERTY = re.compile(
 )
 """A parameter that a plugin does not have: (plugin, parameter, value)."""
 
-UNKNOWN_PLUGIN = re.compile(r'failed to instantiate (\w+) plugin of type "(\w+)":.* not found!$')
+UNUSED_PARAMETER = re.compile(r"Found unused parameters:\s+- \$(\w+)=(.*)")
+"""A parameter that a scene file has and does not use: (parameter, value)."""
+
+UNKNOWN_PLUGIN = re.compile(
+    r'failed to instantiate (\w+) plugin of type "(\w+)": (?:\[\w+\] )?Plugin "\2" not found!$'
+)
 """A plugin that does not exist: (kind, plugin)."""
 
 
