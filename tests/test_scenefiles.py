@@ -362,3 +362,124 @@ def test_what_is_wrong_is_one_sentence(
         with pytest.raises(SceneError, match=message):
             ask(scene, parameters)
         assert [str(folder) for folder in core.file_resolver()] == before
+
+
+# --------------------------------------------------------------------- merged meshes
+
+MESHES = """<scene version="3.0.0">
+    <integrator type="path"><integer name="max_depth" value="3"/></integrator>
+    <sensor type="perspective">
+        <transform name="to_world">
+            <lookat origin="0, 1, 5" target="0, 0, 0" up="0, 1, 0"/>
+        </transform>
+        <film type="hdrfilm">
+            <integer name="width" value="16"/> <integer name="height" value="12"/>
+            <rfilter type="box"/>
+        </film>
+    </sensor>
+    <emitter type="constant"/>
+    <bsdf type="diffuse" id="b"><texture type="checkerboard" name="reflectance"/></bsdf>
+    <bsdf type="diffuse" id="coloured">
+        <texture type="mesh_attribute" name="reflectance">
+            <string name="name" value="vertex_color"/>
+        </texture>
+    </bsdf>
+    <medium type="homogeneous" id="fog"/>
+    {}
+</scene>"""
+
+
+def mesh(kind: str, x: float, rest: str = "", bsdf: str = "b", id: str = "") -> str:
+    plugin, _, file = kind.partition(":")
+    file = f'<string name="filename" value="{file}"/>' if file else ""
+    move = f'<transform name="to_world"><scale value="0.6"/><translate x="{x}"/></transform>'
+    name = f'id="{id}"' if id else ""
+    return f'<shape type="{plugin}" {name}>{file}{move}{rest}<ref id="{bsdf}"/></shape>'
+
+
+FLIPPED = '<boolean name="flip_normals" value="true"/>'
+FACETED = '<boolean name="face_normals" value="true"/>'
+FOG = '<ref name="interior" id="fog"/>'
+WEIGHED = '<float name="silhouette_sampling_weight" value="0.5"/>'
+PLY = "ply:round.ply"
+
+
+@pytest.fixture
+def meshes(tmp_path: Path) -> Path:
+    """A folder with meshes: without normals and texture coordinates, with both, and colours."""
+    cube: Any = mi.load_dict({"type": "cube"})
+    positions = np.array(cube.vertex_positions_buffer())
+    for name in ("bare", "round", "coloured"):
+        smooth = name != "bare"
+        written: Any = mi.Mesh(name, 24, 12, has_vertex_normals=smooth, has_vertex_texcoords=smooth)
+        parameters = mi.traverse(written)
+        parameters["vertex_positions"], parameters["faces"] = positions, cube.faces_buffer()
+        if smooth:  # like a ball
+            parameters["vertex_normals"] = positions / 3**0.5
+            parameters["vertex_texcoords"] = cube.vertex_texcoords_buffer()
+        parameters.update()
+        if name == "coloured":
+            written.add_attribute("vertex_color", 3, np.linspace(0, 1, 72))
+        written.write_ply(str(tmp_path / f"{name}.ply"))
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("shapes", "count"),
+    [
+        ([mesh("cube", -1), mesh("cube", 1)], 1),
+        ([mesh("cube", -1, FLIPPED), mesh("cube", 1)], 2),
+        ([mesh("cube", -1, FLIPPED), mesh("cube", 1, FLIPPED), mesh("cube", 0)], 2),
+        ([mesh("rectangle", -1, FLIPPED), mesh("rectangle", 1)], 2),
+        ([mesh("rectangle", -1, FLIPPED), mesh("rectangle", 1, FLIPPED)], 1),
+        ([mesh(PLY, -1), mesh(PLY, 1, FLIPPED)], 2),
+        ([mesh(PLY, -1, FLIPPED), mesh(PLY, 1, FLIPPED)], 1),
+        ([mesh(PLY, -1, FACETED), mesh(PLY, 1)], 2),
+        ([mesh(PLY, -1, FACETED), mesh(PLY, 1, FACETED)], 1),
+        ([mesh(PLY, -1, FOG), mesh(PLY, 1)], 2),
+        ([mesh(PLY, -1, FOG), mesh(PLY, 1, FOG.replace("interior", "exterior"))], 2),
+        ([mesh(PLY, -1, FOG), mesh(PLY, 1, FOG)], 1),
+        ([mesh(PLY, -1), mesh("ply:bare.ply", 1), mesh(PLY, 0)], 2),
+        ([mesh(PLY, -1, WEIGHED), mesh(PLY, 1, WEIGHED)], 2),
+        ([mesh("ply:coloured.ply", x, bsdf="coloured") for x in (-1, 1)], 2),
+        ([mesh("ply:coloured.ply", -1), mesh(PLY, 0), mesh("ply:bare.ply", 1)], 3),
+    ],
+)
+def test_merging_meshes_leaves_the_image(meshes: Path, shapes: list[str], count: int) -> None:
+    path = meshes / "scene.xml"
+    path.write_text(MESHES.format("".join(shapes)))
+    loaded = [scenefile.load(path, {}).scene for _ in range(2)]
+    plain = mi.load_file(str(path), optimize=False)
+    assert [len(scene.shapes()) for scene in (*loaded, plain)] == [count, count, len(shapes)]
+    image, again, wanted = (np.array(mi.render(scene, spp=16)) for scene in (*loaded, plain))
+    assert wanted.std() > 0.05
+    np.testing.assert_array_equal(image, again)
+    np.testing.assert_allclose(image, wanted, rtol=1e-4, atol=1e-4)
+    assert len({sceneid.digest(sceneid.of_scene(scene)) for scene in loaded}) == 1
+
+
+def test_what_is_not_merged_keeps_its_id(tmp_path: Path) -> None:
+    group = "<shape type='shapegroup' id='g'>{}</shape>".format(
+        mesh("cube", 0, id="a") + mesh("cube", 1, id="c")
+    )
+    instance = '<shape type="instance"><ref id="g"/></shape>'
+    others = mesh("cube", -1, FLIPPED, id="d") + mesh("cube", 1, FACETED, id="e")
+    path = tmp_path / "scene.xml"
+    path.write_text(MESHES.format(group + instance + others))
+    scene = scenefile.load(path, {}).scene
+    names = {shape.id() for shape in scenewalk.shapes(scene)}
+    assert {"a", "c", "d", "e"} <= names
+    image, wanted = (
+        np.array(mi.render(s, spp=16)) for s in (scene, mi.load_file(str(path), optimize=False))
+    )
+    np.testing.assert_array_equal(image, wanted)
+
+
+def test_meshes_that_are_told_apart_when_read_have_an_order(meshes: Path) -> None:
+    path = meshes / "scene.xml"
+    for files in (("round", "bare"), ("bare", "round"), ("bare", "coloured", "round", "bare")):
+        shapes = [mesh(f"ply:{file}.ply", x) for x, file in enumerate(files)]
+        path.write_text(MESHES.format("".join(shapes)))
+        found: list[Any] = scenefile.load(path, {}).scene.shapes()
+        order = [(m.has_mesh_attributes(), m.has_vertex_texcoords()) for m in found]
+        assert order == [(False, False), (False, True), (True, True)][: len(set(files))]
