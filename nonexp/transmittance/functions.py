@@ -103,7 +103,8 @@ def _import_from(folder: Path, module: str) -> ModuleType:
     """Import a module that lies in the folder, as it is now.
 
     Modules of other places, but no packages, step aside meanwhile if they have the name of a file
-    in the folder; so does what was imported for another folder. What the program itself imported from this folder is used.
+    in the folder; so does what was imported for another folder. What the program itself imported
+    from this folder is used.
     """
     ours = _imported.get(folder, {})
     if any(_state(old) != state for old, state in ours.values()):
