@@ -106,6 +106,15 @@ def test_addresses_are_replaced() -> None:
     assert len({insides.anonymous([text])[0] for text in printed}) == 1
 
 
+def test_numbers_of_samples_are_not_described() -> None:
+    def described(**sampler: Any) -> str:
+        return insides.described(mi.load_dict({"type": "independent", **sampler}), "end")
+
+    assert described(sample_count=4) == described(sample_count=16)
+    assert described(seed=1) != described(seed=2)
+    assert described().endswith("\nend")
+
+
 @pytest.mark.parametrize("pixel_format", ["rgb", "xyz", "xyza", "luminance"])
 def test_films_of_xyz(pixel_format: str) -> None:
     film = mi.load_dict({"type": "hdrfilm", "pixel_format": pixel_format})

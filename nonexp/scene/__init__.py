@@ -2,6 +2,7 @@
 
 =================  ===============================================================================
 ``load``           scene files with parameters and an image size
+``meshes``         merging meshes
 ``parse``          scene files through Mitsuba's parser
 ``files``          the files that make up a scene
 ``identity``       what identifies a render

@@ -1,10 +1,9 @@
-"""What identifies a render: two with the same identity are the same image, bit for bit."""
+"""The identity of a render: two renders with equal identities are the same image, bit for bit."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-import re
 from collections.abc import Mapping
 from importlib import metadata
 from pathlib import Path
@@ -30,10 +29,10 @@ def of_files(path: Path, parameters: Mapping[str, str]) -> dict[str, Any]:
 def of_scene(scene: mi.Scene, integrator: Any = None) -> dict[str, Any]:
     """Identity of a scene in memory: checksums of its parameters and of its description.
 
-    The parameters are all that ``mi.traverse`` finds (meshes and textures among them), the
-    description is what ``print(scene)`` and the integrator show, without addresses and without the
-    sampler's number of samples. What neither shows, such as the code of a Python function, is
-    not covered.
+    The parameters are all that ``mi.traverse`` finds, meshes and textures included. The
+    description is what ``print`` shows of the scene and the integrator, without addresses and
+    without the sampler's number of samples. What appears in neither is not covered, such as the
+    code of a Python function.
     """
     integrator = scene.integrator() if integrator is None else integrator
     with dr.suspend_grad():
@@ -48,18 +47,17 @@ def of_scene(scene: mi.Scene, integrator: Any = None) -> dict[str, Any]:
             for name, value in sorted(getattr(integrator, "__dict__", {}).items())
             if isinstance(value, (bool, int, float, str))
         }
-        (text,) = insides.anonymous([f"{scene}\n{integrator}"])
-        text = re.sub(r"\b(sample_count|samples_per_wavefront|wavefront_size) = .*", "", text)
+        description = insides.described(scene, integrator)
     return {
         "integrator": type(integrator).__name__,
         "options": options,
-        "description": _hash(text.encode()),
+        "description": _hash(description.encode()),
         "values": values,
     }
 
 
 def versions() -> dict[str, str]:
-    """Versions of what computes an image."""
+    """Versions of the packages, and of LLVM where it is used: other ones may round differently."""
     found = {"nonexp": __version__, **{n: metadata.version(n) for n in ("mitsuba", "drjit")}}
     if (mi.variant() or "").startswith("llvm"):
         found["llvm"] = ".".join(map(str, dr.detail.llvm_version()))
@@ -67,36 +65,39 @@ def versions() -> dict[str, str]:
 
 
 def digest(identity: Mapping[str, Any]) -> str:
-    """One checksum of an identity."""
+    """Checksum of an identity: equal identities have equal checksums."""
     return _hash(json.dumps(identity, sort_keys=True).encode())
 
 
 def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
-    """What differs between the identities of two renders, one phrase each."""
+    """How two identities differ, one phrase for each difference.
+
+    >>> differences({"seed": 1, "files": {"a.ply": "4f"}}, {"seed": 2, "files": {"a.ply": "e0"}})
+    ['seed was 1, is 2', 'file a.ply has changed']
+    """
     phrases = []
     for name in dict.fromkeys((*before, *now)):
         old, new = before.get(name), now.get(name)
-        if old == new:
-            continue
         if all(isinstance(value, Mapping | None) for value in (old, new)):
-            label = name.removesuffix("s")
-            for key in dict.fromkeys((*(old or {}), *(new or {}))):
-                phrases += _difference(f"{label} {key}", (old or {}).get(key), (new or {}).get(key))
+            old, new, label = old or {}, new or {}, name.removesuffix("s")
+            for key in dict.fromkeys((*old, *new)):
+                phrases += _difference(f"{label} {key}", old.get(key), new.get(key))
         else:
             phrases += _difference(name, old, new)
     return phrases
 
 
 def _difference(label: str, old: Any, new: Any) -> list[str]:
+    """A phrase if two values differ; checksums are not shown."""
     if old == new:
         return []
-    if label.startswith(("file ", "value ", "description")):  # checksums
+    if label.startswith(("file ", "value ", "description")):
         what = "is new" if old is None else "is gone" if new is None else "has changed"
         return [f"{label} {what}"]
-    return [f"{label} was {_plain(old)}, is {_plain(new)}"]
+    return [f"{label} was {_shown(old)}, is {_shown(new)}"]
 
 
-def _plain(value: Any) -> str:
+def _shown(value: Any) -> str:
     if value is None:
         return "not given"
     return "x".join(map(str, value)) if isinstance(value, list) else str(value)
@@ -107,6 +108,7 @@ def _hash(data: bytes) -> str:
 
 
 def _bytes(value: Any) -> bytes:
+    """The contents of a parameter of a scene, with its type and shape."""
     try:
         array = np.array(getattr(value, "matrix", value))
     except (TypeError, ValueError, RuntimeError):

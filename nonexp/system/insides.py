@@ -1,8 +1,9 @@
 """Where the package reaches into the insides of Mitsuba and Dr.Jit: all of it stands here.
 
-Each entry says what it relies on, and why. Tested with Mitsuba 3.9.1 and Dr.Jit 1.5.0, which is
-what ``pyproject.toml`` admits. The names of Mitsuba 3.10 are those of its development branch
-(read at commit b518514f1e), and are tested with stand-ins only.
+Only :mod:`.machine`, which works before either is imported, asks Dr.Jit for its LLVM version
+itself. Each entry says what it relies on, and why. Tested with Mitsuba 3.9.1 and Dr.Jit 1.5.0;
+``pyproject.toml`` admits no later Mitsuba than 3.9. The names of Mitsuba 3.10 are those of its
+development branch (read at commit b518514f1e), and are tested with stand-ins only.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import mitsuba as mi
 
 __all__ = [
     "anonymous",
+    "described",
     "faces",
     "flips_normals",
     "has_vertex_normals",
@@ -82,6 +84,15 @@ def anonymous(texts: Iterable[str]) -> list[str]:
         return seen.setdefault(match[0], f"object {len(seen)}")
 
     return [_ADDRESS.sub(number, text) for text in texts]
+
+
+_SAMPLES = re.compile(r"\b(sample_count|samples_per_wavefront|wavefront_size) = .*")
+
+
+def described(*objects: Any) -> str:
+    """What objects show when they are printed, without addresses and numbers of samples."""
+    (text,) = anonymous(["\n".join(map(str, objects))])
+    return _SAMPLES.sub("", text)
 
 
 def is_xyz(film: Any) -> bool:
