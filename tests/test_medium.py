@@ -84,6 +84,15 @@ def test_an_extinction_above_one_is_kept() -> None:
         ({"sigma_t": {"type": "rgb", "value": [1, -2, 1]}}, "sigma_t is -2: it must be"),
         ({"albedo": 1.5}, "albedo is 1.5: it must be within [0, 1]"),
         ({"albedo": {"type": "rgb", "value": [0, 0, -0.1]}}, "albedo is -0.1: it must be within"),
+        (
+            {"albedo": {"type": "checkerboard"}},
+            "albedo is a Checkerboard, which varies over a surf",
+        ),
+        (
+            {"albedo": {"type": "constvolume", "value": {"type": "checkerboard"}}},
+            "albedo is a Checkerboard, which varies over a surface: it must be a number",
+        ),
+        ({"sigma_t": {"type": "checkerboard"}}, "sigma_t is a Checkerboard, which varies over a"),
         ({"scale": -2.0}, "scale is -2: it must be a finite number >= 0"),
         ({"scale": "two"}, "scale is 'two': it must be a number"),
         ({"sigma_t": 1e30, "scale": 1e30}, "sigma_t * scale is inf: it must be a finite number"),

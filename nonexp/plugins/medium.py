@@ -1,6 +1,6 @@
 """The medium plugin: extinction, albedo, phase function and one transmittance model.
 
-Evaluated anew for each variant by :mod:`nonexp.plugins`.
+:mod:`nonexp.plugins` reloads this module for each variant.
 """
 
 from __future__ import annotations
@@ -208,9 +208,17 @@ def _volume(props: mi.Properties, name: str, default: float) -> mi.Volume:
     if name not in props:
         return _make("constvolume", value=default)
     if props.type(name) == mi.Properties.Type.Object and isinstance(props[name], mi.Volume):
-        return props[name]
-    _check_literal(props, name)
-    return _make("constvolume", value=props.get_unbounded_texture(name))
+        volume = props[name]
+    else:
+        _check_literal(props, name)
+        volume = _make("constvolume", value=props.get_unbounded_texture(name))
+    textures = nested(volume, mi.Texture)
+    if varying := [texture for texture in textures if texture.is_spatially_varying()]:
+        raise ValueError(
+            f"{name} is a {varying[0].class_name()}, which varies over a surface: "
+            "it must be a number, rgb, spectrum or volume"
+        )
+    return volume
 
 
 def _extinction_volume(props: mi.Properties) -> tuple[mi.Volume, float]:

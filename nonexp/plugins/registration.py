@@ -26,7 +26,7 @@ _PLUGINS = {
 }
 _TEXTURE = ("nonexp.plugins.texture", "TransmittanceTexture")
 
-# Variant -> makes the texture of a model from (key, Properties).
+# Variant -> what constructs the texture of a model from (key, Properties).
 _textures: dict[str, Callable[[str, Any], Any]] = {}
 
 
@@ -54,7 +54,7 @@ def install() -> None:
 
 
 def register() -> None:
-    """Register the plugins with the variant that is set: models each time, the rest once."""
+    """Register the plugins with the variant that is set: models at each call, the rest once."""
     variant = mi.variant()
     if variant not in _textures:
         _register_classes(variant)
@@ -103,7 +103,7 @@ def _register(kind: str, name: str, make: Callable[[Any], Any]) -> None:
 
 
 def _load(module: str, name: str) -> Any:
-    """Class of a module, evaluated anew for the variant that is set."""
+    """Class of a module, which is reloaded for the variant that is set."""
     loaded = sys.modules.get(module)
     loaded = importlib.reload(loaded) if loaded else importlib.import_module(module)
     return getattr(loaded, name)

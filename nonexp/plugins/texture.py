@@ -1,6 +1,6 @@
 """The Mitsuba object that carries a transmittance model into a scene.
 
-Evaluated anew for each variant by :mod:`nonexp.plugins`.
+:mod:`nonexp.plugins` reloads this module for each variant.
 """
 
 from __future__ import annotations

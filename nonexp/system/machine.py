@@ -110,7 +110,7 @@ def find_llvm() -> list[tuple[int, str]]:
 
 
 def _major(path: str) -> int:
-    """Major version that the names of an LLVM library tell; 0 if they do not."""
+    """Major version in the names of an LLVM library and its folder; 0 if there is none."""
     for name in (path, os.path.realpath(path)):
         match = _FILE_VERSION.search(os.path.basename(name)) or _FOLDER_VERSION.search(name)
         if match:
@@ -121,8 +121,8 @@ def _major(path: str) -> int:
 def select_llvm() -> str | None:
     """Let Dr.Jit use the newest usable LLVM: sets ``DRJIT_LIBLLVM_PATH`` unless it is set.
 
-    Returns the path chosen. Returns None, and leaves the environment alone, where the variable is
-    set already or no usable library has been found in the usual places.
+    Returns the path chosen, or None (with the environment unchanged) if the variable is set already
+    or no usable library is found in the usual places.
     """
     if os.environ.get(LLVM_VARIABLE):
         return None
@@ -153,7 +153,7 @@ def load_drjit() -> None:
 
 
 def inspect() -> Report:
-    """Look at this machine, without running a kernel."""
+    """Find out what works on this machine, without running a kernel."""
     import drjit as dr
 
     gpu = bool(dr.has_backend(dr.JitBackend.CUDA))
