@@ -212,7 +212,7 @@ def _volume(props: mi.Properties, name: str, default: float) -> mi.Volume:
     else:
         _check_literal(props, name)
         volume = _make("constvolume", value=props.get_unbounded_texture(name))
-    textures = nested(volume, mi.Texture)
+    textures = nested(volume, mi.Texture) if volume.class_name() == "ConstVolume" else []
     if varying := [texture for texture in textures if texture.is_spatially_varying()]:
         raise ValueError(
             f"{name} is a {varying[0].class_name()}, which varies over a surface: "
