@@ -334,12 +334,17 @@ def test_a_path_in_an_included_file_ends_with_it(scene: Path) -> None:
         SceneError, match=r'a.xml, line 22: .*PLY file "shelved.ply": file not found'
     ):
         scenefile.load(scene, {})  # nor does Mitsuba find it
+    (scene.parent / "parts/shelf/shelved.xml").write_text(OWN)
+    scene.write_text(SCENE.replace("</scene>", '<include filename="shelved.xml"/></scene>'))
+    with pytest.raises(SceneError, match=r"a.xml includes 'shelved.xml', and .* does not exist"):
+        scenefile.load(scene, {})
 
 
 @pytest.mark.parametrize(
     ("parameters", "message"),
     [
         ({"table": "used.csv"}, "parameter 'table', given as 'used.csv', is not used: nothing in"),
+        ({"escaped": "a"}, "has no parameter 'escaped', given as 'a': its parameters are law, med"),
         ({"filename": "a"}, "parameter 'filename' cannot be given: Mitsuba reserves that name"),
         ({"medium": "circle"}, "Exceeded maximum include recursion depth"),
         ({"medium": "broken"}, 'Parsing of XML file ".*broken.xml" failed'),
@@ -350,6 +355,7 @@ def test_a_path_in_an_included_file_ends_with_it(scene: Path) -> None:
 def test_what_is_wrong_is_one_sentence(
     scene: Path, parameters: dict[str, str], message: str
 ) -> None:
+    scene.write_text(SCENE.replace("</scene>", r'<ref id="\$escaped"/></scene>'))
     parts = scene.parent / "parts"
     (parts / "circle.xml").write_text(
         '<scene version="3.0.0"><include filename="circle.xml"/></scene>'

@@ -73,7 +73,7 @@ def collect(path: Path, parameters: Mapping[str, str]) -> SceneFiles:
     """
     root = path.resolve()
     with parsed(root, parameters) as (_, state):
-        found = set(read(root, parameters).files)
+        found, _ = read(root, parameters)
         for node in state.nodes:
             for name in node.props.keys():
                 if node.props.type(name) == mi.Properties.Type.String:

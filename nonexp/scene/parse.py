@@ -7,7 +7,6 @@ import difflib
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ import mitsuba as mi
 
 from .messages import SceneError, explain
 
-__all__ = ["Text", "parsed", "read", "resolved", "substituted"]
+__all__ = ["parsed", "read", "resolved", "substituted"]
 
 _core: Any = mi  # whose stubs know no file resolvers
 _RESERVED = ("config", "filename")  # arguments of mi.parser.parse_file, which takes ours beside
@@ -52,32 +51,25 @@ def parsed(path: Path, parameters: Mapping[str, str]) -> Iterator[tuple[Any, Any
         _core.set_file_resolver(before)
 
 
-@dataclass
-class Text:
-    """What a scene file and the files that it includes say, and Mitsuba's parser does not keep."""
+def read(path: Path, parameters: Mapping[str, str]) -> tuple[set[Path], set[str]]:
+    """What Mitsuba's parser does not keep of a scene file and those that it includes.
 
-    files: list[Path] = field(default_factory=list)
-    """the XML files, also included ones without an object, and files of spectra"""
-    parameters: set[str] = field(default_factory=set)
-    """names of the parameters"""
-
-
-def read(path: Path, parameters: Mapping[str, str]) -> Text:
-    """Read a scene file and those that it includes, without Mitsuba's parser.
-
-    Raises :class:`SceneError` for an include that does not exist, ``ET.ParseError`` for what is
-    not XML.
+    That is the XML files (it forgets included ones without an object) together with the files of
+    spectra, and the names of the parameters. Raises :class:`SceneError` for an include that does
+    not exist, ``ET.ParseError`` for what is not XML.
     """
-    values, found = dict(parameters), Text()
+    values = dict(parameters)
+    files: set[Path] = set()
+    names: set[str] = set()
 
     def visit(file: Path, resolver: Any) -> None:
-        found.files.append(file)
+        files.add(file)
         for element in ET.parse(file).iter():
             for raw in element.attrib.values():
-                found.parameters.update(re.findall(r"(?<!\\)\$(\w+)", raw))
+                names.update(re.findall(r"(?<!\\)\$(\w+)", raw))
             text = {name: substituted(raw, values) for name, raw in element.attrib.items()}
             if element.tag == "default" and "name" in text:
-                found.parameters.add(text["name"])
+                names.add(text["name"])
                 values.setdefault(text["name"], text.get("value", ""))
             elif element.tag == "path" and "value" in text:
                 beside = file.parent / text["value"]
@@ -90,10 +82,10 @@ def read(path: Path, parameters: Mapping[str, str]) -> Text:
                     raise SceneError(_missing(file, element.attrib["filename"], values))
                 visit(included, inner)
             elif element.tag == "spectrum" and "filename" in text:
-                found.files.append(resolved(text["filename"], resolver))
+                files.add(resolved(text["filename"], resolver))
 
     visit(path, _within(_core.file_resolver(), path.parent))
-    return found
+    return files, names
 
 
 def substituted(text: str, values: Mapping[str, str]) -> str:
@@ -122,7 +114,7 @@ def _within(resolver: Any, folder: Path) -> Any:
 def _check_parameters(path: Path, parameters: Mapping[str, str]) -> None:
     """Raise :class:`SceneError` for a parameter that the scene does not have."""
     try:
-        known = sorted(read(path, parameters).parameters)
+        known = sorted(read(path, parameters)[1])
     except (ET.ParseError, OSError, LookupError, RecursionError):
         return  # Mitsuba's parser says what is wrong
     for name, value in parameters.items():
