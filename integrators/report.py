@@ -11,10 +11,9 @@ import numpy as np
 
 from nonexp.plugins.spectra import visible
 
-from .entries import Entry, Tracked
-from .media import Media, OneMedium, scene_media
-from .scene_needs import SceneNeeds
-from .tracer import told_apart
+from .media import Entry, Media, OneMedium, scene_media
+from .needs import SceneNeeds
+from .rays import separate
 
 
 @dataclass(frozen=True)
@@ -32,8 +31,8 @@ def findings(scene: mi.Scene) -> list[Finding]:
     start = sensors[0].get_medium() if sensors else None
     wanted = getattr(scene.integrator(), "refractive_nee", "auto")
     needs = SceneNeeds.of(scene, start, wanted)
-    media = scene_media(needs)
-    spheres = [sphere.shape for sphere in told_apart(scene)[0]]
+    media = scene_media(needs.media, needs.sealed)
+    spheres = [sphere.shape for sphere in separate(scene)[0]]
     emitters = Counter(emitter.class_name() for emitter in scene.emitters())
     return [
         *_media(needs, media),
@@ -77,7 +76,7 @@ def _media(needs: SceneNeeds, media: Media | None) -> list[Finding]:
 
 def _describe(entry: Entry) -> str:
     name = entry.pointer.id() or type(entry.pointer).__name__
-    if isinstance(entry, Tracked):
+    if entry.tracked:
         return f"{name}: exponential, heterogeneous"
     texture = getattr(entry.pointer, "transmittance", None)
     law = texture.to_string().removeprefix("transmittance_") if texture else "exponential"
@@ -111,8 +110,8 @@ def _spheres(scene: mi.Scene, spheres: list[mi.Shape]) -> Finding:
     count = sum(shape.class_name() == "Sphere" for shape in scene.shapes())
     if spheres:
         answer = f"{len(spheres)} of {len(scene.shapes())} shapes"
-        return Finding("spheres", answer, "met in closed form, before all other shapes")
-    return Finding("spheres", f"{count}" if count else "none", "skipped: spheres in closed form")
+        return Finding("spheres", answer, "intersected analytically, before all other shapes")
+    return Finding("spheres", f"{count}" if count else "none", "skipped: analytic spheres")
 
 
 def _emitters(needs: SceneNeeds) -> str:
@@ -120,7 +119,7 @@ def _emitters(needs: SceneNeeds) -> str:
     if not needs.emitters:
         return "skipped: connections, emission"
     if not needs.hittable_emitters:
-        skipped.append("emission met by rays")
+        skipped.append("emission hit by rays")
     if not needs.delta_emitters:
         skipped.append("points and directions")
     if not needs.infinite_emitters:
@@ -139,7 +138,7 @@ def _connections(needs: SceneNeeds, media: Media | None) -> Finding:
     return Finding(
         "connections to emitters",
         f"from {' and '.join(ends)}",
-        "skipped: media on shadow rays" if media and media.all_sealed else "shadow rays",
+        "skipped: media on shadow rays" if media and media.all("sealed") else "shadow rays",
     )
 
 

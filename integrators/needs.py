@@ -5,15 +5,21 @@ The integrator's kernel holds only the parts that these answers ask for.
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from dataclasses import dataclass
 from typing import Any
 
 import mitsuba as mi
+import numpy as np
 
-from nonexp.scene import walk as scenewalk
+from nonexp.scene import walk
 
-from .closed import encloses
-from .lobes import lobes
+from .media import entry_of
+
+_SMOOTH = ("Sphere", "Cylinder", "Disk", "Rectangle")
+
+_known: OrderedDict[tuple[int, int], tuple[Any, bool]] = OrderedDict()
+_KEPT = 64
 
 
 @dataclass(frozen=True)
@@ -52,7 +58,7 @@ class SceneNeeds:
         ``refractive`` says whether connections bend: ``auto`` (where that helps), ``on`` (wherever
         they can) or ``off``.
         """
-        shapes, media = scenewalk.shapes(scene), scenewalk.media(scene)
+        shapes, media = walk.shapes(scene), walk.media(scene)
         if start is not None and start not in media:
             media.insert(0, start)
         emitter_flags = [emitter.flags() for emitter in scene.emitters()]
@@ -75,7 +81,7 @@ class SceneNeeds:
                 for flags in emitter_flags
             ),
             null_ball=_null_ball(shapes, media),
-            lobes=lobes(scene, shapes, refractive) if emitter_flags else (),
+            lobes=_lobes(scene, shapes, refractive) if emitter_flags else (),
         )
 
 
@@ -110,7 +116,7 @@ def _sealed(scene: mi.Scene, shapes: list[Any], medium: Any) -> bool:
         if shape.class_name() == "Instance":
             return False
         if shape.interior_medium() == medium:
-            if _scatters(shape, mi.BSDFFlags.Null) or not encloses(shape):
+            if _scatters(shape, mi.BSDFFlags.Null) or not _encloses(shape):
                 return False
             shells.append(shape.bbox())
         elif shape.exterior_medium() == medium:
@@ -125,3 +131,94 @@ def _sealed(scene: mi.Scene, shapes: list[Any], medium: Any) -> bool:
 
 def _infinite(emitter: mi.Emitter) -> bool:
     return bool(mi.has_flag(emitter.flags(), mi.EmitterFlags.Infinite))
+
+
+# --------------------------------------------------------------------- glass
+
+
+def _lobes(scene: mi.Scene, shapes: list[Any], wanted: str) -> tuple[Any, ...]:
+    """Shapes with a smooth dielectric surface: those of use (``auto``), all (``on``), none."""
+    if wanted == "off" or (wanted == "auto" and not _finds_light(scene)):
+        return ()
+    present = set(map(id, scene.shapes()))  # not those that exist as instances alone
+    found = [shape for shape in shapes if id(shape) in present and _bends(shape)]
+    if wanted == "auto":
+        found = [shape for shape in found if _holds_something(shape, shapes)]
+    return tuple(found)
+
+
+def _bends(shape: Any) -> bool:
+    """Whether connections can bend through a shape: its normals turn smoothly, and are known."""
+    bsdf = shape.bsdf()
+    if bsdf is None or bsdf.class_name() != "SmoothDielectric" or shape.has_flipped_normals():
+        return False
+    if shape.is_mesh():
+        return bool(shape.has_vertex_normals() and not shape.has_face_normals())
+    return shape.class_name() in _SMOOTH
+
+
+def _finds_light(scene: mi.Scene) -> bool:
+    """Light comes from some direction rather than from everywhere, where any ray finds it."""
+    return any(emitter.class_name() != "ConstantBackgroundEmitter" for emitter in scene.emitters())
+
+
+def _holds_something(lobe: Any, shapes: list[Any]) -> bool:
+    """Connections may begin behind the surface: in a medium, or on something within."""
+    medium = lobe.interior_medium()
+    if medium is not None:
+        entry = entry_of(medium, sealed=True)
+        if entry is not None and entry.samples:
+            return True
+    return _encloses(lobe) and any(
+        shape.bsdf() is not None
+        and mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Smooth)
+        and lobe.bbox().contains(shape.bbox())
+        for shape in shapes
+    )
+
+
+# --------------------------------------------------------------------- closed shapes
+
+
+def _encloses(shape: mi.Shape) -> bool:
+    """Whether the side that ``shape``'s normals turn away from is a closed volume.
+
+    Certain for spheres and meshes; False for all other shapes.
+    """
+    if shape.has_flipped_normals():
+        return False
+    if shape.is_mesh():
+        return _watertight(shape)
+    return bool(shape.shape_type() == mi.ShapeType.Sphere)
+
+
+def _watertight(mesh: Any) -> bool:
+    """Every edge belongs to two faces that run through it in opposite directions, and the faces
+    turn outwards. Vertices count as one where they coincide. Asked once per state of the mesh."""
+    positions, faces = mesh.vertex_positions_buffer(), mesh.faces_buffer()
+    key = (positions.index, faces.index)
+    if key not in _known:
+        # Holding the arrays keeps their numbers from being given to others.
+        _known[key] = (positions, faces), _is_watertight(np.array(positions), np.array(faces))
+        if len(_known) > _KEPT:
+            _known.popitem(last=False)
+    _known.move_to_end(key)
+    return _known[key][1]
+
+
+def _is_watertight(positions: Any, faces: Any) -> bool:
+    points = positions.reshape(-1, 3)
+    _, same = np.unique(points, axis=0, return_inverse=True)
+    corners = same.reshape(-1)[faces.reshape(-1, 3)].astype(np.int64)
+    proper = np.all(corners != np.roll(corners, 1, axis=1), axis=1)  # no area, no hole either
+    corners, triangles = corners[proper], points[faces.reshape(-1, 3)][proper].astype(float)
+    if not len(corners):
+        return False
+    ahead = np.concatenate([corners[:, [i, (i + 1) % 3]] for i in range(3)])
+    count = corners.max() + 1
+    forth = np.sort(ahead[:, 0] * count + ahead[:, 1])
+    back = np.sort(ahead[:, 1] * count + ahead[:, 0])
+    if np.any(forth[1:] == forth[:-1]) or np.any(forth != back):
+        return False
+    a, b, c = np.moveaxis(triangles - triangles.mean(axis=(0, 1)), 1, 0)
+    return bool(np.sum(a * np.cross(b, c)) > 0)

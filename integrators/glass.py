@@ -19,9 +19,7 @@ import drjit as dr
 import mitsuba as mi
 
 from .jit import Numbering, opaque, recording
-from .scene_needs import SceneNeeds
-from .sphere import place
-from .subscene import Subscenes
+from .rays import Subscenes, place
 
 STEPS = 16
 """Most points that a search looks at."""
@@ -120,9 +118,8 @@ class _Search:
     """the search goes on"""
 
 
-def refraction(needs: SceneNeeds, subscenes: Subscenes) -> Refraction | None:
-    """The scene's smooth dielectric surfaces through which connections bend; None if none does."""
-    lobes = needs.lobes
+def refraction(lobes: tuple[Any, ...], subscenes: Subscenes) -> Refraction | None:
+    """The smooth dielectric shapes through which connections bend; None if there is none."""
     where = place(lobes[0]) if len(lobes) == 1 else None
     if where:
         return Ball(lobes[0], *where)
