@@ -11,6 +11,7 @@ import mitsuba as mi
 
 from . import tracking
 from .glass import Crossing, Line, Refraction
+from .jit import Numbering
 from .media import Media, medium_interaction, optical_depth
 from .needs import SceneNeeds
 from .rays import NullBall, Offset, Tracer
@@ -44,6 +45,10 @@ class _Ray:
     """it is still in the medium of the collision where it began"""
     transmittance: Any
     """product over surfaces passed and media left behind"""
+    left: Any
+    """distance to the end of the line from the last surface"""
+    nudge: Any
+    """how far the ray is moved on, since it hardly got away from the last surfaces"""
     active: Any
     """neither blocked nor arrived"""
 
@@ -117,6 +122,8 @@ class Connections:
     offset: Offset
     glass: Refraction | None
     ball: NullBall | None
+    silent: Numbering | None
+    """BSDFs that let light straight through without telling how much"""
 
     def hit(
         self,
@@ -254,6 +261,11 @@ class Connections:
         infinite = mi.has_flag(ds.emitter.flags(), mi.EmitterFlags.Infinite)
         return Line(ds.p, ds.d, dr.select(infinite, dr.inf, ds.dist))
 
+    def through(self, si: Any, active: Any) -> Any:
+        """Share of light that a surface lets straight through, as far as it tells."""
+        share = si.bsdf().eval_null_transmission(si, active)
+        return dr.select(self.silent.of(si.bsdf()) != 0, 0, share) if self.silent else share
+
     def _share(
         self, media: Media | None, start: Start, line: Line, sampler: mi.Sampler, active: Any
     ) -> Any:
@@ -293,7 +305,9 @@ class Connections:
         light straight through.
 
         Within one medium optical depths add up across such surfaces, and the law is evaluated once,
-        where the ray leaves that medium.
+        where the ray leaves that medium. A ray that runs along a surface, or begins on the one that
+        its target lies on, is moved on by steps that double, and ends at the latest behind its
+        target: the number of steps is bounded by the distance over the offset of rays.
         """
         vertex, d = start.vertex, line.d
 
@@ -306,7 +320,7 @@ class Connections:
         def body(sampler: mi.Sampler, s: _Ray) -> tuple[mi.Sampler, _Ray]:
             si = self.tracer.intersect(s.ray, False, s.active)
             hit = s.active & si.is_valid()
-            through = si.bsdf().eval_null_transmission(si, hit)
+            through = self.through(si, hit)
             s.transmittance = dr.select(hit, s.transmittance * through, s.transmittance)
             if media:
                 # Rounding may put a surface before the one left behind.
@@ -331,8 +345,15 @@ class Connections:
                 s.from_particle &= ~left
                 s.location = beyond
                 s.start = si.p
+            left = dr.dot(line.p - si.p, d)
+            stuck = s.left - left < self.offset.limit
+            s.nudge = dr.select(stuck, dr.fma(2, s.nudge, self.offset.limit / 16), 0)
+            s.left = left
             s.ray = self.offset.segment(si, line.p)
-            s.active = hit & dr.any(s.transmittance != 0)
+            s.ray.o = dr.fma(d, s.nudge, s.ray.o)
+            s.ray.maxt -= s.nudge
+            s.active = hit & dr.any(s.transmittance != 0) & (s.ray.maxt > 0)
+            s.active &= dr.dot(line.p - s.ray.o, d) > 0
             return sampler, s
 
         state = _Ray(
@@ -342,6 +363,8 @@ class Connections:
             tau=mi.UnpolarizedSpectrum(0) if media and media.chromatic else mi.Float(0),
             from_particle=mi.Bool(start.from_particle),
             transmittance=mi.Spectrum(1),
+            left=dr.dot(line.p - vertex.p, d),
+            nudge=mi.Float(0),
             active=mi.Bool(active),
         )
         _, end = dr.while_loop(

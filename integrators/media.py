@@ -24,7 +24,7 @@ from nonexp import models
 from nonexp.plugins.spectra import grey, somewhere, visible
 from nonexp.transmittance import Draw, Transmittance
 
-from .jit import Numbering, recording
+from .jit import Numbering, opaque, recording
 
 
 def medium_interaction(
@@ -180,6 +180,7 @@ class Homogeneous(Entry):
         return mi.UnpolarizedSpectrum(0), mi.UnpolarizedSpectrum(0)
 
 
+@dataclass(frozen=True)
 class Tracked(Entry):
     """A heterogeneous medium of Mitsuba's own: exponential, tracked with null collisions.
 
@@ -200,14 +201,16 @@ class Tracked(Entry):
     ) -> Any:
         return mi.UnpolarizedSpectrum(1)
 
+    majorant: Any
+    """upper bound of the extinction, in all channels: Mitsuba's own is not always one"""
+
     def bounds(self, ray: Any, active: Any) -> tuple[Any, Any, Any]:
-        meets, near, far = self.pointer.intersect_aabb(ray)
-        majorant = self.pointer.get_majorant(dr.zeros(mi.MediumInteraction3f))[0]
-        return dr.maximum(near, 0), dr.select(meets, far, -1), majorant
+        hits, near, far = self.pointer.intersect_aabb(ray)
+        return dr.maximum(near, 0), dr.select(hits, far, -1), self.majorant
 
     def coefficients(self, mei: Any, active: Any) -> tuple[Any, Any]:
-        _, sigma_n, sigma_t = self.pointer.get_scattering_coefficients(mei, active)
-        return sigma_n, sigma_t
+        _, _, sigma_t = self.pointer.get_scattering_coefficients(mei, active)
+        return dr.maximum(self.majorant - sigma_t, 0), sigma_t
 
 
 def entry_of(pointer: Any, sealed: bool) -> Entry | None:
@@ -238,16 +241,22 @@ def entry_of(pointer: Any, sealed: bool) -> Entry | None:
 
 
 def _tracked(pointer: Any, model: Transmittance, albedo: Any, sealed: bool) -> Entry | None:
-    if _vanishes(pointer.get_majorant(somewhere())[0]):
+    majorant = pointer.get_majorant(somewhere())[0]
+    if _vanishes(majorant):
         return None
     parameters = mi.traverse(pointer)
     if "sigma_t.data" in parameters:
         chromatic = np.shape(parameters["sigma_t.data"])[-1] > 1
     else:
-        values = pointer.get_scattering_coefficients(visible())[2]
-        chromatic = not grey(np.array(dr.detach(values)))
+        values = np.array(dr.detach(pointer.get_scattering_coefficients(visible())[2]))
+        chromatic = not grey(values)
+        if not recording():
+            # In spectral variants Mitsuba takes the mean of a spectrum made of a colour for its
+            # maximum. Between the wavelengths looked at it may be a little higher.
+            most = float(values.max()) * (1.01 if chromatic and mi.is_spectral else 1)
+            majorant = opaque(mi.Float, max(most, float(dr.detach(majorant)[0])))
     unit = partial(_always, mi.Float(1))
-    return Tracked(pointer, model, unit, albedo, sealed, chromatic, constant=True)
+    return Tracked(pointer, model, unit, albedo, sealed, chromatic, True, majorant)
 
 
 def _count_draws(sample: Callable[[Draw], Any]) -> int:

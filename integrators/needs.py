@@ -18,6 +18,18 @@ from .media import entry_of
 
 _SMOOTH = ("Sphere", "Cylinder", "Disk", "Rectangle")
 
+# Classes of Mitsuba 3.9 that implement eval_null_transmission.
+_TELLING = (
+    "Null",
+    "MaskBSDF",
+    "BlendBSDF",
+    "ThinDielectric",
+    "TwoSidedBRDF",
+    "LinearPolarizer",
+    "LinearRetarder",
+    "CircularPolarizer",
+)
+
 _known: OrderedDict[tuple[int, int], tuple[Any, bool]] = OrderedDict()
 _KEPT = 64
 
@@ -50,6 +62,8 @@ class SceneNeeds:
     """The sphere that is the only null surface, and the only boundary of the only medium."""
     lobes: tuple[Any, ...] = ()
     """Smooth dielectric shapes through which connections from inside bend."""
+    silent: tuple[Any, ...] = ()
+    """BSDFs that let rays straight through, but do not tell shadow rays how many."""
 
     @staticmethod
     def of(scene: mi.Scene, start: Any = None, refractive: str = "auto") -> SceneNeeds:
@@ -82,6 +96,7 @@ class SceneNeeds:
             ),
             null_ball=_null_ball(shapes, media),
             lobes=_lobes(scene, shapes, refractive) if emitter_flags else (),
+            silent=_silent(shapes),
         )
 
 
@@ -101,6 +116,25 @@ def _null_ball(shapes: list[Any], media: list[Any]) -> Any:
 def _scatters(shape: mi.Shape, flag: mi.BSDFFlags) -> bool:
     bsdf = shape.bsdf()
     return bsdf is not None and bool(mi.has_flag(bsdf.flags(), flag))
+
+
+def _silent(shapes: list[Any]) -> tuple[Any, ...]:
+    """BSDFs of which some part passes rays on, but does not implement ``eval_null_transmission``.
+
+    Mitsuba's ``normalmap`` and ``bumpmap`` are such, around whatever lets rays through.
+    """
+    found: list[Any] = []
+    for bsdf in (shape.bsdf() for shape in shapes if _scatters(shape, mi.BSDFFlags.Null)):
+        parts = [node for node in mi.traverse(bsdf).hierarchy if isinstance(node, mi.BSDF)]
+        passing = (part for part in parts if mi.has_flag(part.flags(), mi.BSDFFlags.Null))
+        if bsdf not in found and not all(map(_tells, passing)):
+            found.append(bsdf)
+    return tuple(found)
+
+
+def _tells(bsdf: Any) -> bool:
+    own = type(bsdf) is not mi.BSDF and "eval_null_transmission" in vars(type(bsdf))
+    return own or bsdf.class_name() in _TELLING
 
 
 def _sealed(scene: mi.Scene, shapes: list[Any], medium: Any) -> bool:

@@ -19,6 +19,9 @@ from .media import Media, medium_interaction, optical_depth
 from .spectral import at_channel, balanced
 from .surface import eval_pdf_sample
 
+MOST_PASSES = 1 << 16
+"""Null surfaces that a path passes in a row, at most: whatever a scene is, its paths end."""
+
 
 @dataclass
 class Flight:
@@ -87,6 +90,8 @@ class Path:
     """no connection could have found what this ray finds: emission counts in full"""
     vertex: Any
     """position of the last event (with null surfaces)"""
+    passes: Any
+    """null surfaces passed since then (with null surfaces)"""
     flight: Flight | None
     glass: Glass | None
 
@@ -222,6 +227,7 @@ class Events:
             pdf=mi.Float(0),
             certain=mi.Bool(True),
             vertex=mi.Point3f(ray.o) if null else None,
+            passes=mi.UInt32(0) if null else None,
             flight=flight,
             glass=glass,
         )
@@ -428,11 +434,20 @@ class Events:
             out = self._leave_glass(s, a, vertex, scattering, in_glass, scattered)
         s.pdf = dr.select(scattered & ~out, scattering.pdf, s.pdf)
         s.certain = dr.select(scattered, scattering.certain, s.certain)
+        if self.nee.silent:
+            # No connection gets through here: what this ray finds counts in full.
+            hidden = scattering.passed & (self.nee.silent.of(a.bsdf) != 0)
+            s.certain |= hidden
+            if s.glass:
+                s.glass.armed &= ~hidden
+                s.glass.crossed &= ~hidden
         s.o, s.d = self.nee.offset.onward(vertex, d), d
         if self.media and s.flight:
             self._go_on(self.media, s, s.flight, a, scattered)
         if self.null:
             s.vertex = dr.select(scattered, a.p, s.vertex)
+            s.passes = dr.select(scattered, 0, s.passes + 1)
+            s.active &= s.passes < MOST_PASSES
 
         # Russian roulette.
         balance = s.flight.balance if s.flight else None

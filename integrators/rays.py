@@ -227,8 +227,11 @@ class NullBall:
         """Length inside the sphere of a line from ``p``, itself ``inside`` or not."""
         square, middle = self._sphere.chord(p, d)
         half = dr.sqrt(dr.maximum(square, 0))
-        near = dr.select(inside, 0, dr.maximum(middle - half, 0))
-        return dr.maximum(dr.minimum(middle + half, distance) - near, 0)
+        near, far = middle - half, middle + half
+        # Within the sphere, but not in its medium: a ray that leaves it enters nothing.
+        outside = near > -1e-4 * self._sphere.radius
+        length = dr.minimum(far, distance) - dr.select(inside, 0, dr.maximum(near, 0))
+        return dr.select(inside | outside, dr.maximum(length, 0), 0)
 
 
 # --------------------------------------------------------------------- scenes of some shapes

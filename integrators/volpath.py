@@ -12,6 +12,7 @@ import mitsuba as mi
 
 from .connection import Connections
 from .glass import refraction
+from .jit import Numbering
 from .media import scene_media
 from .needs import SceneNeeds
 from .path import Events
@@ -69,7 +70,8 @@ class NonexpVolpath(mi.SamplingIntegrator):
         tracer = Tracer.of(scene, self._subscenes)
         tracks = media and media.tracks
         ball = NullBall.of(needs.null_ball, tracer) if connects and not tracks else None
-        nee = Connections(scene, tracer, needs, media, Offset(scene), glass, ball)
+        silent = Numbering([mi.BSDFPtr(bsdf) for bsdf in needs.silent]) if needs.silent else None
+        nee = Connections(scene, tracer, needs, media, Offset(scene), glass, ball, silent)
         events = Events(self, nee, connects, hero, ray.time, ray.wavelengths)
         _, path = dr.while_loop(
             (sampler, events.begin(ray, medium, active)),
