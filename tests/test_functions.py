@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib
+import pickle
+import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -25,7 +27,6 @@ def modules_and_path() -> Iterator[None]:
     for name in set(sys.modules) - before:
         del sys.modules[name]
     functions._imported.clear()
-    functions._states.clear()
 
 
 def write(folder: Path, value: str, name: str = "a_law") -> str:
@@ -71,6 +72,54 @@ def test_modules_of_others_stay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     # What they imported from there is not run a second time, and not behind their back.
     write(tmp_path / "elsewhere", "10")
     assert load_function("x", "a_law:f", [elsewhere]) is theirs.f
+
+
+def test_modules_of_others_are_not_mistaken_for_those_beside(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    elsewhere = write(tmp_path / "elsewhere", "1", "a_helper")
+    beside = write(tmp_path / "beside", "2", "a_helper")
+    for name in ("secrets", "drjit"):  # of Python, and a package in use
+        write(tmp_path / "beside", "3", name)
+    (tmp_path / "beside/a_law.py").write_text(
+        "import secrets\nfrom a_helper import f\nfrom drjit import exp\n"
+    )
+    with monkeypatch.context() as patch:
+        patch.syspath_prepend(elsewhere)
+        theirs: Any = importlib.import_module("a_helper")
+    pythons: Any = importlib.import_module("secrets")
+    assert load_function("x", "a_law:f", [beside])() == 2
+    assert sys.modules["a_helper"] is theirs and theirs.f() == 1
+    assert sys.modules["secrets"] is pythons
+
+
+def test_modules_keep_their_names(tmp_path: Path) -> None:
+    """By them functions are pickled, and classes find the module that they stand in."""
+    (tmp_path / "a_law.py").write_text(
+        """from __future__ import annotations
+from dataclasses import dataclass
+
+
+@dataclass
+class Law:
+    rate: float = 2
+
+    def __call__(self):
+        return self.rate
+
+
+def f():
+    return Law()()
+""",
+        encoding="utf-8",
+    )
+    f = load_function("x", "a_law:f", [str(tmp_path)])
+    assert f() == 2 and f.__module__ == "a_law"
+    assert pickle.loads(pickle.dumps(f)) is f
+    other = "import pickle, sys; print(pickle.loads(bytes.fromhex(sys.argv[1]))())"
+    command = [sys.executable, "-c", other, pickle.dumps(f).hex()]
+    found = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert found.stdout == "2\n"
 
 
 def test_a_folder_does_not_hide_a_package(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import drjit as dr
 import mitsuba as mi
 import pytest
 
@@ -126,6 +127,49 @@ def test_a_variant_that_does_not_work_here_is_refused_with_the_reason(
         machine.check_variant(None)
     with pytest.raises(machine.MachineError, match="'cuda_ad_rgb' needs an NVIDIA GPU"):
         machine.check_variant("cuda_ad_rgb")
+
+
+METAL = ["scalar_rgb", "llvm_ad_rgb", "metal_ad_rgb", "metal_ad_rgb_polarized", "metal_spectral"]
+
+
+@pytest.mark.parametrize(
+    ("llvm", "metal", "variants", "default"),
+    [
+        (True, True, ("llvm_ad_rgb", "metal_ad_rgb", "metal_spectral"), "llvm_ad_rgb"),
+        (False, True, ("metal_ad_rgb", "metal_spectral"), "metal_ad_rgb"),
+        (True, False, ("llvm_ad_rgb",), "llvm_ad_rgb"),
+        (False, False, (), "llvm_ad_rgb"),
+    ],
+)
+def test_variants_of_metal(
+    monkeypatch: pytest.MonkeyPatch,
+    llvm: bool,
+    metal: bool,
+    variants: tuple[str, ...],
+    default: str,
+) -> None:
+    """With stand-ins: a Mac has not been tried."""
+    present = {dr.JitBackend.Metal: metal, dr.JitBackend.CUDA: False}
+    monkeypatch.setattr(dr, "has_backend", present.get)
+    monkeypatch.setattr(machine, "_llvm", lambda: (None, (19, 0, 0) if llvm else None))
+    monkeypatch.setattr(mi, "variants", lambda: METAL)
+    report = machine.inspect()
+    assert report.variants == variants
+    assert not report.gpu  # of NVIDIA
+    assert machine.choose_variant(report.gpu, report.variants) == default
+    if variants:
+        assert machine.check_variant(None) == default
+    else:
+        with pytest.raises(machine.MachineError, match=r"this machine has .*LLVM"):
+            machine.check_variant(None)
+    if metal:
+        assert machine.check_variant("metal_spectral") == "metal_spectral"
+    else:
+        words = "'metal_ad_rgb' needs macOS and a GPU with Metal, which are not found: .* here are"
+        with pytest.raises(machine.MachineError, match=words):
+            machine.check_variant("metal_ad_rgb")
+    with pytest.raises(machine.MachineError, match="polarized' is not supported: it must be one"):
+        machine.check_variant("metal_ad_rgb_polarized")
 
 
 def test_a_missing_library_of_drjit_is_named(tmp_path: Path) -> None:

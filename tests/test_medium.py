@@ -105,6 +105,35 @@ def test_bad_input_is_named(parameters: dict[str, Any], message: str) -> None:
     assert message in last_line(error)
 
 
+WAVELENGTHS: dict[str, dict[str, Any]] = {
+    "BlackBodySpectrum": {"type": "blackbody", "temperature": 3000.0},
+    "RegularSpectrum": {
+        "type": "regular",
+        "wavelength_min": 400.0,
+        "wavelength_max": 700.0,
+        "values": "0.1, 0.4",
+    },
+    "IrregularSpectrum": {"type": "irregular", "wavelengths": "400, 700", "values": "0.1, 0.4"},
+}
+
+
+@pytest.mark.parametrize("name", ["sigma_t", "albedo"])
+@pytest.mark.parametrize("kind", WAVELENGTHS)
+def test_spectra_over_wavelengths_need_a_spectral_variant(name: str, kind: str) -> None:
+    spectrum = WAVELENGTHS[kind]
+    for variant in ("llvm_ad_rgb", "llvm_ad_mono"):
+        mi.set_variant(variant)
+        for value in (spectrum, {"type": "constvolume", "value": spectrum}):
+            with pytest.raises(RuntimeError) as error:
+                load(**{name: value})
+            expected = f"ValueError: {name} is a spectrum over wavelengths ({kind}), of which "
+            assert last_line(error).startswith(f"{expected}variant {variant} has none: ")
+            assert "llvm_ad_spectral" in last_line(error)
+    mi.set_variant("llvm_ad_spectral")
+    if (name, kind) != ("albedo", "BlackBodySpectrum"):  # above 1
+        assert load(**{name: spectrum}).chromatic == (name == "sigma_t")
+
+
 def test_extinction_by_wavelength_in_every_way_to_give_it() -> None:
     for variant in JIT:
         mi.set_variant(variant)

@@ -44,6 +44,18 @@ def test_entry_point_module_registers_and_bears_reloading() -> None:
     )
 
 
+def test_metal_is_supported_and_registered() -> None:
+    """As far as it can be seen without a Mac: with the classes of another variant."""
+    assert plugins.supported("metal_ad_rgb") and not plugins.supported("metal_rgb_polarized")
+    run(
+        "import nonexp, mitsuba as mi\nfrom nonexp.plugins import registration\n"
+        "mi.set_variant('llvm_ad_rgb')\nreal, mi.variant = mi.variant, lambda: 'metal_ad_rgb'\n"
+        f"nonexp.plugins.register()\nmi.variant = real{MAKE}"
+        "make = registration._textures['metal_ad_rgb']\n"
+        "assert make.__name__ == 'TransmittanceTexture', make"
+    )
+
+
 @pytest.mark.parametrize("variant", UNSUPPORTED)
 def test_unsupported_variants_say_so_in_one_sentence(variant: str) -> None:
     mi.set_variant(variant)

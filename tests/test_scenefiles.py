@@ -20,9 +20,11 @@ from nonexp.scene import (
 from nonexp.scene import (
     load as scenefile,
 )
+from nonexp.scene import parse
 from nonexp.scene import (
     walk as scenewalk,
 )
+from nonexp.scene.messages import SceneError
 
 SCENES = Path(__file__).resolve().parent.parent / "scenes"
 
@@ -199,6 +201,7 @@ def test_a_scene_is_the_same_each_time_and_its_meshes_are_few(tmp_path: Path) ->
                 <transform name="to_world">
                     <lookat origin="0, 0, 9" target="0, 0, 0" up="0, 1, 0"/>
                 </transform>
+                <film type="hdrfilm"><rfilter type="box"/></film>
             </sensor>
             <bsdf type="diffuse" id="b0"/>
             <bsdf type="diffuse" id="b1"><rgb name="reflectance" value="0.2"/></bsdf>"""
@@ -212,7 +215,7 @@ def test_a_scene_is_the_same_each_time_and_its_meshes_are_few(tmp_path: Path) ->
         assert len(scene.shapes()) == 5 + 2
         orders.add(tuple(shape.id() for shape in scene.shapes()))
         identities.add(sceneid.digest(sceneid.of_scene(scene)))
-        images.add(np.array(mi.render(scene, spp=4)).tobytes())
+        images.add(np.array(mi.render(scene, spp=16)).tobytes())
     assert len(orders) == len(identities) == len(images) == 1
     plain = mi.load_file(str(path), optimize=False)
     plain_faces = sum(shape.face_count() for shape in plain.shapes())
@@ -274,4 +277,209 @@ def test_files_are_those_that_mitsuba_takes(
 
 def test_parameters_are_put_in_as_mitsuba_does() -> None:
     values = {"a": "1", "ab": r"x\1$a"}
-    assert scenefile.substituted(r"$ab.ply $a_b \$a", values) == r"x\11.ply 1_b \$a"
+    assert parse.substituted(r"$ab.ply $a_b \$a", values) == r"x\11.ply 1_b \$a"
+
+
+# --------------------------------------------------------------------- what the parser drops
+
+
+def digests(scene: Path, **parameters: str) -> set[str]:
+    return set(scenefiles.collect(scene, parameters).digests())
+
+
+def test_includes_without_objects_count(scene: Path) -> None:
+    """Mitsuba's parser forgets an included file that holds defaults alone."""
+    (scene.parent / "settings.xml").write_text(
+        '<scene version="3.0.0"><default name="medium" value="table"/>'
+        '<default name="table" value="used.csv"/></scene>'
+    )
+    first = '<scene version="3.0.0"><default name="set" value="settings"/>'
+    first += '<include filename="$set.xml"/>'
+    scene.write_text(SCENE.replace('<scene version="3.0.0">', first))
+    expected = {"a.xml", "settings.xml", "parts/table.xml", "parts/cube.ply", "used.csv"}
+    assert digests(scene) == expected
+    assert digests(scene, table="unused.csv") == expected - {"used.csv"} | {"unused.csv"}
+    with pytest.raises(SceneError, match=r"parameter 'tabel'.*\(did you mean 'table'\?\)"):
+        scenefile.load(scene, {"tabel": "used.csv"})
+
+
+def test_files_of_spectra_count(scene: Path) -> None:
+    """Mitsuba's parser reads them and forgets their names."""
+    (scene.parent / "lamp.spd").write_text("400 1\n700 2\n")
+    lamp = '<default name="lamp" value="lamp"/><emitter type="constant">'
+    lamp += '<spectrum name="radiance" filename="$lamp.spd"/></emitter>'
+    scene.write_text(SCENE.replace('<emitter type="constant"/>', lamp))
+    assert "lamp.spd" in digests(scene)
+
+
+def test_only_strings_name_files(scene: Path) -> None:
+    for name in ("medium", "3", "own", "perspective", "3.0.0"):
+        (scene.parent / name).write_text("")
+    assert digests(scene) == {"a.xml", "halved.py", "parts/cube.ply", "parts/own.xml"}
+
+
+def test_a_path_in_an_included_file_ends_with_it(scene: Path) -> None:
+    for place in ("shelf", "parts/shelf"):
+        (scene.parent / place).mkdir()
+    cube = (scene.parent / "parts/cube.ply").read_bytes()
+    (scene.parent / "parts/shelf/shelved.ply").write_bytes(cube)
+    own = scene.parent / "parts/own.xml"
+    own.write_text(
+        OWN.replace('<scene version="3.0.0">', '<scene version="3.0.0"><path value="shelf"/>')
+    )
+    shape = '<shape type="ply"><string name="filename" value="shelved.ply"/></shape>'
+    scene.write_text(SCENE.replace("</scene>", shape + "</scene>"))
+    assert "parts/shelf/shelved.ply" not in digests(scene)
+    with pytest.raises(
+        SceneError, match=r'a.xml, line 22: .*PLY file "shelved.ply": file not found'
+    ):
+        scenefile.load(scene, {})  # nor does Mitsuba find it
+
+
+@pytest.mark.parametrize(
+    ("parameters", "message"),
+    [
+        ({"table": "used.csv"}, "parameter 'table', given as 'used.csv', is not used: nothing in"),
+        ({"filename": "a"}, "parameter 'filename' cannot be given: Mitsuba reserves that name"),
+        ({"medium": "circle"}, "Exceeded maximum include recursion depth"),
+        ({"medium": "broken"}, 'Parsing of XML file ".*broken.xml" failed'),
+        ({"medium": "undefined"}, r"undefined.xml, line 1: undefined parameter: \$nowhere"),
+        ({"medium": "undefined", "now": "1"}, r"no parameter 'now', .* mean 'nowhere'\?\)"),
+    ],
+)
+def test_what_is_wrong_is_one_sentence(
+    scene: Path, parameters: dict[str, str], message: str
+) -> None:
+    parts = scene.parent / "parts"
+    (parts / "circle.xml").write_text(
+        '<scene version="3.0.0"><include filename="circle.xml"/></scene>'
+    )
+    (parts / "broken.xml").write_text("<scene")
+    (parts / "undefined.xml").write_text('<scene version="3.0.0"><path value="$nowhere"/></scene>')
+    core: Any = mi
+    before = [str(folder) for folder in core.file_resolver()]
+    for ask in (scenefile.load, scenefiles.collect):
+        with pytest.raises(SceneError, match=message):
+            ask(scene, parameters)
+        assert [str(folder) for folder in core.file_resolver()] == before
+
+
+# --------------------------------------------------------------------- merged meshes
+
+MESHES = """<scene version="3.0.0">
+    <integrator type="path"><integer name="max_depth" value="3"/></integrator>
+    <sensor type="perspective">
+        <transform name="to_world">
+            <lookat origin="0, 1, 5" target="0, 0, 0" up="0, 1, 0"/>
+        </transform>
+        <film type="hdrfilm">
+            <integer name="width" value="16"/> <integer name="height" value="12"/>
+            <rfilter type="box"/>
+        </film>
+    </sensor>
+    <emitter type="constant"/>
+    <bsdf type="diffuse" id="b"><texture type="checkerboard" name="reflectance"/></bsdf>
+    <bsdf type="diffuse" id="coloured">
+        <texture type="mesh_attribute" name="reflectance">
+            <string name="name" value="vertex_color"/>
+        </texture>
+    </bsdf>
+    <medium type="homogeneous" id="fog"/>
+    {}
+</scene>"""
+
+
+def mesh(kind: str, x: float, rest: str = "", bsdf: str = "b", id: str = "") -> str:
+    plugin, _, file = kind.partition(":")
+    file = f'<string name="filename" value="{file}"/>' if file else ""
+    move = f'<transform name="to_world"><scale value="0.6"/><translate x="{x}"/></transform>'
+    name = f'id="{id}"' if id else ""
+    return f'<shape type="{plugin}" {name}>{file}{move}{rest}<ref id="{bsdf}"/></shape>'
+
+
+FLIPPED = '<boolean name="flip_normals" value="true"/>'
+FACETED = '<boolean name="face_normals" value="true"/>'
+FOG = '<ref name="interior" id="fog"/>'
+WEIGHED = '<float name="silhouette_sampling_weight" value="0.5"/>'
+PLY = "ply:round.ply"
+
+
+@pytest.fixture
+def meshes(tmp_path: Path) -> Path:
+    """A folder with meshes: without normals and texture coordinates, with both, and colours."""
+    cube: Any = mi.load_dict({"type": "cube"})
+    positions = np.array(cube.vertex_positions_buffer())
+    for name in ("bare", "round", "coloured"):
+        smooth = name != "bare"
+        written: Any = mi.Mesh(name, 24, 12, has_vertex_normals=smooth, has_vertex_texcoords=smooth)
+        parameters = mi.traverse(written)
+        parameters["vertex_positions"], parameters["faces"] = positions, cube.faces_buffer()
+        if smooth:  # like a ball
+            parameters["vertex_normals"] = positions / 3**0.5
+            parameters["vertex_texcoords"] = cube.vertex_texcoords_buffer()
+        parameters.update()
+        if name == "coloured":
+            written.add_attribute("vertex_color", 3, np.linspace(0, 1, 72))
+        written.write_ply(str(tmp_path / f"{name}.ply"))
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("shapes", "count"),
+    [
+        ([mesh("cube", -1), mesh("cube", 1)], 1),
+        ([mesh("cube", -1, FLIPPED), mesh("cube", 1)], 2),
+        ([mesh("cube", -1, FLIPPED), mesh("cube", 1, FLIPPED), mesh("cube", 0)], 2),
+        ([mesh("rectangle", -1, FLIPPED), mesh("rectangle", 1)], 2),
+        ([mesh("rectangle", -1, FLIPPED), mesh("rectangle", 1, FLIPPED)], 1),
+        ([mesh(PLY, -1), mesh(PLY, 1, FLIPPED)], 2),
+        ([mesh(PLY, -1, FLIPPED), mesh(PLY, 1, FLIPPED)], 1),
+        ([mesh(PLY, -1, FACETED), mesh(PLY, 1)], 2),
+        ([mesh(PLY, -1, FACETED), mesh(PLY, 1, FACETED)], 1),
+        ([mesh(PLY, -1, FOG), mesh(PLY, 1)], 2),
+        ([mesh(PLY, -1, FOG), mesh(PLY, 1, FOG.replace("interior", "exterior"))], 2),
+        ([mesh(PLY, -1, FOG), mesh(PLY, 1, FOG)], 1),
+        ([mesh(PLY, -1), mesh("ply:bare.ply", 1), mesh(PLY, 0)], 2),
+        ([mesh(PLY, -1, WEIGHED), mesh(PLY, 1, WEIGHED)], 2),
+        ([mesh("ply:coloured.ply", x, bsdf="coloured") for x in (-1, 1)], 2),
+        ([mesh("ply:coloured.ply", -1), mesh(PLY, 0), mesh("ply:bare.ply", 1)], 3),
+    ],
+)
+def test_merging_meshes_leaves_the_image(meshes: Path, shapes: list[str], count: int) -> None:
+    path = meshes / "scene.xml"
+    path.write_text(MESHES.format("".join(shapes)))
+    loaded = [scenefile.load(path, {}).scene for _ in range(2)]
+    plain = mi.load_file(str(path), optimize=False)
+    assert [len(scene.shapes()) for scene in (*loaded, plain)] == [count, count, len(shapes)]
+    image, again, wanted = (np.array(mi.render(scene, spp=16)) for scene in (*loaded, plain))
+    assert wanted.std() > 0.05
+    np.testing.assert_array_equal(image, again)
+    np.testing.assert_allclose(image, wanted, rtol=1e-4, atol=1e-4)
+    assert len({sceneid.digest(sceneid.of_scene(scene)) for scene in loaded}) == 1
+
+
+def test_what_is_not_merged_keeps_its_id(tmp_path: Path) -> None:
+    group = "<shape type='shapegroup' id='g'>{}</shape>".format(
+        mesh("cube", 0, id="a") + mesh("cube", 1, id="c")
+    )
+    instance = '<shape type="instance"><ref id="g"/></shape>'
+    others = mesh("cube", -1, FLIPPED, id="d") + mesh("cube", 1, FACETED, id="e")
+    path = tmp_path / "scene.xml"
+    path.write_text(MESHES.format(group + instance + others))
+    scene = scenefile.load(path, {}).scene
+    names = {shape.id() for shape in scenewalk.shapes(scene)}
+    assert {"a", "c", "d", "e"} <= names
+    image, wanted = (
+        np.array(mi.render(s, spp=16)) for s in (scene, mi.load_file(str(path), optimize=False))
+    )
+    np.testing.assert_array_equal(image, wanted)
+
+
+def test_meshes_that_are_told_apart_when_read_have_an_order(meshes: Path) -> None:
+    path = meshes / "scene.xml"
+    for files in (("round", "bare"), ("bare", "round"), ("bare", "coloured", "round", "bare")):
+        shapes = [mesh(f"ply:{file}.ply", x) for x, file in enumerate(files)]
+        path.write_text(MESHES.format("".join(shapes)))
+        found: list[Any] = scenefile.load(path, {}).scene.shapes()
+        order = [(m.has_mesh_attributes(), m.has_vertex_texcoords()) for m in found]
+        assert order == [(False, False), (False, True), (True, True)][: len(set(files))]

@@ -10,6 +10,7 @@ from typing import Any
 import mitsuba as mi
 
 from .. import models
+from ..scene.load import load
 
 __all__ = [
     "LAWS",
@@ -155,8 +156,7 @@ def _from_file(name: str) -> Callable[[Filling, tuple[int, int]], Any]:
         root = checkout()
         if root is None:
             raise FileNotFoundError(f"scenes/{name} is not here: run in a source tree of nonexp")
-        film = {"width": str(size[0]), "height": str(size[1])}
-        return mi.load_file(str(root / "scenes" / name), **film, **filling.parameters())
+        return load(root / "scenes" / name, filling.parameters(), size).scene
 
     return build
 

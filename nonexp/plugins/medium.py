@@ -11,7 +11,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from nonexp.plugins.registration import supported
 from nonexp.plugins.spectra import grey, somewhere, visible
+from nonexp.system.insides import nested
 from nonexp.transmittance import Transmittance
 
 _PARAMETERS = (
@@ -80,9 +82,10 @@ class NonexpHomogeneous(mi.Medium):
         self.albedo = _volume(props, "albedo", 0.75)
         self.m_is_homogeneous = True
         self.m_has_spectral_extinction = props.get("has_spectral_extinction", True)
+        self._accepted: dict[str, Any] = {}  # the last values that were not refused
         self._check()
 
-    # ------------------------------------------------------------- what an integrator reads
+    # ------------------------------------------------------------- what integrators use
 
     @property
     def model(self) -> Transmittance:
@@ -129,23 +132,24 @@ class NonexpHomogeneous(mi.Medium):
         self._check()
 
     def _check(self) -> None:
-        """Check all values; go back to the last good ones if they are refused."""
+        """Check all values; if they are refused, restore the last accepted ones."""
         parameters = mi.traverse(self)
         own = [k for k in parameters.keys() if k.split(".")[0] in ("scale", "sigma_t", "albedo")]
         try:
-            scale, sigma_t = np.array(self.scale), _spectrum_of(self.sigma_t) * self._factor
+            scale = np.array(self.scale)
+            sigma_t = _spectrum_of("sigma_t", self.sigma_t) * self._factor
             if scale.size != 1:
                 raise ValueError(f"scale holds {scale.size} numbers: it must be one")
             _check_range("scale", scale, dr.inf)
             _check_range("sigma_t", sigma_t, dr.inf)
             with np.errstate(over="ignore"):
                 _check_range("sigma_t * scale", sigma_t * scale, dr.inf)
-            _check_range("albedo", _values_of(self.albedo), 1.0)
+            _check_range("albedo", _values_of("albedo", self.albedo), 1.0)
             _check_microflakes(self.phase_function())
         except ValueError:
-            for key, value in getattr(self, "_accepted", {}).items():
-                parameters[key] = value
-            if hasattr(self, "_accepted"):
+            if self._accepted:
+                for key, value in self._accepted.items():
+                    parameters[key] = value
                 parameters.update()
             raise
         self._chromatic = not grey(sigma_t)
@@ -183,8 +187,8 @@ class NonexpHomogeneous(mi.Medium):
 
 
 def _make(plugin: str, **values: Any) -> Any:
-    """A plugin's object. Scenes load in parallel: ``mi.load_dict`` here, inside a constructor,
-    would swap the global file resolver under the feet of other plugins that are looking for files.
+    """An instance of a plugin. Not by ``mi.load_dict``, which replaces the global file resolver
+    meanwhile: scenes load in parallel, and other plugins would not find their files.
     """
     props = mi.Properties(plugin)
     for name, value in values.items():
@@ -200,7 +204,7 @@ def _number(props: mi.Properties, name: str, default: float) -> float:
 
 
 def _volume(props: mi.Properties, name: str, default: float) -> mi.Volume:
-    """A nested volume as it is; anything else as the value of a ``constvolume``, as stock does."""
+    """A nested volume as it is; anything else as the value of a ``constvolume``, as in Mitsuba."""
     if name not in props:
         return _make("constvolume", value=default)
     if props.type(name) == mi.Properties.Type.Object and isinstance(props[name], mi.Volume):
@@ -210,9 +214,9 @@ def _volume(props: mi.Properties, name: str, default: float) -> mi.Volume:
 
 
 def _extinction_volume(props: mi.Properties) -> tuple[mi.Volume, float]:
-    """A volume, and a factor on it."""
+    """The volume of ``sigma_t``, and a factor on its values."""
     if mi.is_spectral and "sigma_t" in props and props.type("sigma_t") == mi.Properties.Type.Color:
-        # Mitsuba makes a spectrum of an rgb colour only within [0, 1]; a grey one needs none.
+        # Mitsuba converts an rgb colour to a spectrum only within [0, 1]; grey needs no spectrum.
         rgb = np.array(props["sigma_t"], dtype=float).ravel()
         _check_range("sigma_t", rgb, dr.inf)
         if grey(rgb):
@@ -226,7 +230,7 @@ def _extinction_volume(props: mi.Properties) -> tuple[mi.Volume, float]:
 
 
 def _check_literal(props: mi.Properties, name: str) -> None:
-    """Refuse bad numbers here, in our words, before Mitsuba's spectra see them."""
+    """Check numbers before Mitsuba turns them into spectra, which clamp or misreport them."""
     upper = 1.0 if name == "albedo" else dr.inf
     kind = props.type(name)
     if kind in (mi.Properties.Type.Color, mi.Properties.Type.Float, mi.Properties.Type.Integer):
@@ -251,17 +255,27 @@ def _check_microflakes(phase: mi.PhaseFunction) -> None:
             raise ValueError(f"phase.{name} varies in space: in a homogeneous medium it must not")
 
 
-def _spectrum_of(volume: mi.Volume) -> Any:
+def _spectrum_of(name: str, volume: mi.Volume) -> Any:
     """Values over the channels, or over the visible wavelengths."""
-    return np.array(dr.detach(volume.eval(visible())))
+    try:
+        return np.array(dr.detach(volume.eval(visible())))
+    except RuntimeError as error:
+        if mi.is_spectral:
+            raise
+        kinds = ", ".join(texture.class_name() for texture in nested(volume, mi.Texture))
+        spectral = ", ".join(v for v in mi.variants() if "spectral" in v and supported(v))
+        raise ValueError(
+            f"{name} is a spectrum over wavelengths ({kinds}), of which variant {mi.variant()} "
+            f"has none: give a number or rgb, or use {spectral}"
+        ) from error
 
 
-def _values_of(volume: mi.Volume) -> Any:
+def _values_of(name: str, volume: mi.Volume) -> Any:
     """All values that a volume is made of."""
     parameters = mi.traverse(volume)
     if "data" in parameters:
         return np.array(dr.detach(parameters["data"]))
-    return _spectrum_of(volume)
+    return _spectrum_of(name, volume)
 
 
 _warned = False

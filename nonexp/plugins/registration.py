@@ -15,7 +15,7 @@ from typing import Any
 import mitsuba as mi
 
 from .. import models
-from ..system import machine
+from ..system import insides, machine
 
 __all__ = ["install", "register", "supported", "unsupported_reason"]
 
@@ -46,7 +46,7 @@ def unsupported_reason(variant: str) -> str | None:
 
 def install() -> None:
     """Register the plugins with the variant that is set, and with each one set from now on."""
-    mi.detail.add_variant_callback(_variant_changed)
+    insides.on_variant_change(_variant_changed)
     if _model_registered not in models.on_register:
         models.on_register.append(_model_registered)
     if mi.variant() is not None:

@@ -1,4 +1,4 @@
-"""Looking at spectra of a homogeneous medium: at every visible wavelength, anywhere."""
+"""Evaluating the spectra of a homogeneous medium, over the visible wavelengths."""
 
 from __future__ import annotations
 
@@ -25,6 +25,6 @@ def visible() -> Any:
 
 
 def grey(values: Any) -> bool:
-    """Whether values over channels and wavelengths are all the same, to rounding."""
+    """Whether values over channels or wavelengths are equal, up to rounding."""
     low, high = np.min(values), np.max(values)
     return bool(high - low <= 1e-5 * high)

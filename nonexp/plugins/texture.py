@@ -33,29 +33,29 @@ class TransmittanceTexture(mi.Texture):
         self.key = key
         fields = dataclasses.fields(models.registry[key])  # type: ignore[arg-type]
         self._kinds = {field.name: kind_of(field) for field in fields}
-        self._fixed: dict[str, Any] = {}
+        # Each field of the model is in one of these:
+        self.values: dict[str, Any] = {}  # arrays, which mi.traverse finds
         self._components: dict[str, list[TransmittanceTexture]] = {}
+        self._fixed: dict[str, Any] = {}  # names, files and functions
+        self._accepted: dict[str, Any] = {}  # the last values that were not refused
+
         checked = models.create(key, **self._given(props))
         for name, kind in self._kinds.items():
-            if _is(kind, parameters.Components) and name not in self._components:
-                parts = [models.to_dict(model) for model in getattr(checked, name)]
-                self._components[name] = [type(self)._of(part) for part in parts]
-
-        self.values: dict[str, Any] = {}
-        for name, kind in self._kinds.items():
             value = getattr(checked, name)
-            if isinstance(kind, parameters.Vector):
+            if isinstance(kind, parameters.Components):
+                if name not in self._components:
+                    parts = [models.to_dict(model) for model in value]
+                    self._components[name] = [type(self)._of(part) for part in parts]
+            elif isinstance(kind, parameters.Vector):
                 if len(value):
-                    self.values[name] = mi.Float([float(_number(v)) for v in value])
+                    self.values[name] = mi.Float([parameters.number(item) for item in value])
             elif isinstance(kind, parameters.Whole):
                 self.values[name] = mi.UInt32(value)
-            elif name not in self._fixed and name not in self._components:
-                if isinstance(kind, parameters.Number) or kind is None:
-                    self.values[name] = mi.Float(value)
-                else:
-                    self._fixed[name] = value
-        self._accepted: dict[str, Any] = {}
-        if any(kind is None or kind.differentiable for kind in self._kinds.values()):
+            elif isinstance(kind, parameters.Number) or kind is None:
+                self.values[name] = mi.Float(value)
+            else:
+                self._fixed.setdefault(name, value)
+        if any(_differentiable(kind) for kind in self._kinds.values()):
             self._accept()
         else:
             self._adopt(checked)  # it may have made tables: not a second time
@@ -73,13 +73,13 @@ class TransmittanceTexture(mi.Texture):
 
     @property
     def model(self) -> Transmittance:
-        """The model with the present values of its parameters, as arrays of width 1."""
+        """The model with the current values of its parameters, as arrays of width 1."""
         return self._model
 
     def _given(self, props: mi.Properties) -> dict[str, Any]:
-        """What the scene says of the parameters, in the types that models understand."""
-        nested = next((n for n, k in self._kinds.items() if _is(k, parameters.Components)), None)
-        folders = [str(folder) for folder in mi.file_resolver()]
+        """The parameters given in the scene, as models take them."""
+        kinds = self._kinds.items()
+        nested = next((name for name, k in kinds if isinstance(k, parameters.Components)), None)
         given: dict[str, Any] = {}
         for name in props.keys():
             value, kind = props[name], self._kinds.get(name)
@@ -92,36 +92,38 @@ class TransmittanceTexture(mi.Texture):
                 value = self._fixed[name] = str(mi.file_resolver().resolve(value))
             elif isinstance(kind, parameters.Function):
                 label = f"{models.registry[self.key].__name__}.{name}"
+                folders = [str(folder) for folder in mi.file_resolver()]
                 value = self._fixed[name] = load_function(label, value, folders)
             given[name] = value
-        if nested in self._components:
-            given[nested] = [texture.model for texture in self._components[nested]]
-        return given
+        return given | self._models()
+
+    def _models(self) -> dict[str, list[Transmittance]]:
+        """The component models, by field."""
+        return {name: [t.model for t in ts] for name, ts in self._components.items()}
 
     def _accept(self) -> None:
-        """Check the values; go back to the last good ones if they are refused."""
+        """Adopt the current values; if they are refused, restore the last accepted ones."""
         try:
-            model = self._made()
+            model = self._create()
         except ValueError:
             for name, value in self._accepted.items():
                 mi.set_property(self.values[name], value)
             if self._accepted and self._components:
-                self._adopt(self._made())  # of its components' present values
+                self._adopt(self._create())  # of its components' current values
             raise
         self._adopt(model)
 
-    def _made(self) -> Transmittance:
-        nested = {name: [t.model for t in ts] for name, ts in self._components.items()}
-        return models.create(self.key, **self.values, **self._fixed, **nested)
+    def _create(self) -> Transmittance:
+        return models.create(self.key, **self.values, **self._fixed, **self._models())
 
     def _adopt(self, model: Transmittance) -> None:
         self._model = model
-        dr.make_opaque(self.values)  # other values, same kernel
+        dr.make_opaque(self.values)  # so that other values need no other kernel
         for name, kind in self._kinds.items():
             if isinstance(kind, parameters.Vector):
-                dr.eval(getattr(self._model, name))
+                dr.eval(getattr(model, name))
         self._accepted = {name: type(value)(value) for name, value in self.values.items()}
-        # Where dr.freeze looks for what a kernel reads: tables too, which are made at first use.
+        # dr.freeze finds what a kernel reads in attributes: tables too, which first use makes.
         for law in (model.ff, model.pf):
             law(mi.Float(1))
         for sample in (model.sample_f, model.sample_p):
@@ -129,16 +131,14 @@ class TransmittanceTexture(mi.Texture):
         self._tables = [a for table in tables_in(model) for a in table.arrays(mi.Float)]
 
     def traverse(self, callback: mi.TraversalCallback) -> None:
+        flags = mi.ParamFlags
         for name, value in self.values.items():
-            kind = self._kinds[name]
-            differentiable = kind is None or kind.differentiable
-            flag = (
-                mi.ParamFlags.Differentiable if differentiable else mi.ParamFlags.NonDifferentiable
-            )
+            differentiable = _differentiable(self._kinds[name])
+            flag = flags.Differentiable if differentiable else flags.NonDifferentiable
             callback.put(name, value, flag)
         for textures in self._components.values():
             for position, texture in enumerate(textures):
-                callback.put(f"model_{position}", texture, mi.ParamFlags.Differentiable)
+                callback.put(f"model_{position}", texture, flags.Differentiable)
 
     def parameters_changed(self, keys: list[str]) -> None:
         self._accept()
@@ -150,12 +150,8 @@ class TransmittanceTexture(mi.Texture):
         return f"transmittance_{self.key}[{', '.join(parts)}]"
 
 
-def _is(kind: Any, cls: type) -> bool:
-    return isinstance(kind, cls)
-
-
-def _number(value: Any) -> Any:
-    return dr.detach(value)[0] if dr.is_array_v(value) else value
+def _differentiable(kind: parameters.Kind | None) -> bool:
+    return kind is None or kind.differentiable
 
 
 def _shown(values: Any) -> str:

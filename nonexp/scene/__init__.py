@@ -2,7 +2,8 @@
 
 =================  ===============================================================================
 ``load``           scene files with parameters and an image size
-``parameters``     the parameters of a scene file
+``meshes``         merging meshes
+``parse``          scene files through Mitsuba's parser
 ``files``          the files that make up a scene
 ``identity``       what identifies a render
 ``walk``           the objects that a scene holds

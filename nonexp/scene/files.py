@@ -11,8 +11,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+import mitsuba as mi
+
 from ..transmittance import functions
-from . import parameters as scene_parameters
+from .parse import parsed, read, resolved
 
 __all__ = ["SceneFiles", "collect"]
 
@@ -65,33 +67,26 @@ class SceneFiles:
 def collect(path: Path, parameters: Mapping[str, str]) -> SceneFiles:
     """The files of a scene, with parameters as for :func:`nonexp.scene.load.load`.
 
-    Every value in the scene file, and in those that it includes, that is the name of a file counts
-    as a reference to it; so does ``module:function``, where the module lies beside the scene file,
-    to that and to what it imports from there.
+    Every ``<string>`` that is the name of a file counts as a reference to it; so does
+    ``module:function``, where the module lies beside the scene file, to that and to what it
+    imports from there. Raises :class:`~nonexp.scene.messages.SceneError` as ``load`` does.
     """
     root = path.resolve()
-    values = dict(parameters)
-    folders = scene_parameters.search_folders(root)
-    found: dict[Path, None] = {}
-    for file, element in scene_parameters.elements(root, values, folders):
-        found[file.resolve()] = None
-        if element.tag == "default":  # counts where it is used
-            continue
-        places = (file.parent, *folders) if element.tag == "spectrum" else tuple(folders)
-        for text in element.attrib.values():
-            value = scene_parameters.substituted(text, values)
-            found.update(dict.fromkeys(_files(value, places)))
-    found.pop(root, None)
-    return SceneFiles(root, tuple(sorted(found)))
+    with parsed(root, parameters) as (_, state):
+        found = set(read(root, parameters).files)
+        for node in state.nodes:
+            for name in node.props.keys():
+                if node.props.type(name) == mi.Properties.Type.String:
+                    found.update(_files(node.props[name]))
+    return SceneFiles(root, tuple(sorted({file.resolve() for file in found} - {root})))
 
 
-def _files(value: str, folders: tuple[Path, ...]) -> list[Path]:
-    """The files that a value in a scene file stands for: one by its name, or those of a module."""
+def _files(value: str) -> list[Path]:
+    """The files that a string in a scene stands for: one by its name, or those of a module."""
     if match := _MODULE.fullmatch(value):
-        return functions.files(match[1], folders)
-    if not value or len(value) > 255 or "\0" in value:
-        return []
-    return [(f / value).resolve() for f in folders if (f / value).is_file()][:1]
+        return functions.files(match[1], [Path(str(folder)) for folder in mi.file_resolver()])
+    file = resolved(value)
+    return [file] if os.path.isfile(file) else []
 
 
 def _digest(path: Path) -> str:

@@ -9,9 +9,9 @@ from typing import Any
 
 import mitsuba as mi
 
-from . import parameters as scene_parameters
-from . import walk
-from .messages import SceneError, explain
+from . import meshes, walk
+from .messages import SceneError
+from .parse import parsed
 
 __all__ = ["LoadedScene", "load"]
 
@@ -40,21 +40,7 @@ def load(
     ``parameters`` replace the file's ``<default>`` values; ``size`` (width, height) replaces the
     size of every film, and scales crop windows with it. Raises :class:`SceneError`.
     """
-    if not path.is_file():
-        what = "is a folder" if path.is_dir() else "does not exist"
-        raise SceneError(f"scene file {str(path)!r} {what}: it must be a Mitsuba scene (.xml)")
-    known = scene_parameters.names(path, dict(parameters))
-    for name, value in parameters.items():
-        if name not in known:
-            raise SceneError(scene_parameters.unknown(path, name, value, sorted(known)))
-
-    core: Any = mi  # whose stubs know no file resolvers
-    resolver = core.file_resolver()
-    core.set_file_resolver(_with_folder(resolver, path.parent))
-    try:
-        config = mi.parser.ParserConfig(mi.variant() or "")
-        config.merge_meshes = False
-        state: Any = mi.parser.parse_file(config, str(path), **parameters)
+    with parsed(path, parameters) as (config, state):
         if state.root.type != mi.ObjectType.Scene:
             raise SceneError(
                 f"scene file {str(path)!r} holds a {state.root.props.plugin_name()}, "
@@ -67,15 +53,10 @@ def load(
             for node in state.nodes
             if node.type == mi.ObjectType.Integrator
         )
+        config.merge_meshes = False
         mi.parser.transform_all(config, state)
-        _merge_meshes(state)
-        scene: Any = mi.parser.instantiate(config, state)
-    except SceneError:
-        raise
-    except Exception as error:
-        raise SceneError(explain(error, parameters)) from error
-    finally:
-        core.set_file_resolver(resolver)
+        meshes.merge(state)
+        scene = meshes.in_order(mi.parser.instantiate(config, state), state.root.props)
 
     if not scene.sensors():
         raise SceneError(f"scene file {str(path)!r} has no sensor: add a <sensor> to render from")
@@ -87,12 +68,6 @@ def load(
     return LoadedScene(scene, integrators)
 
 
-def _with_folder(resolver: Any, folder: Path) -> Any:
-    copy: Any = mi.FileResolver(resolver)
-    copy.prepend(str(folder))
-    return copy
-
-
 def _resize(state: Any, size: tuple[int, int]) -> None:
     """Set the size of all films of a parsed scene, and give one to sensors without a film."""
     nodes = state.nodes
@@ -100,7 +75,8 @@ def _resize(state: Any, size: tuple[int, int]) -> None:
     for i in films:
         _resize_film(nodes[i].props, size)
     for i in range(len(nodes)):
-        if nodes[i].type == mi.ObjectType.Sensor and not films & _children(nodes[i].props):
+        held = {index for _, index in meshes.children(nodes[i].props)}
+        if nodes[i].type == mi.ObjectType.Sensor and not films & held:
             film = mi.parser.SceneNode()
             film.type = mi.ObjectType.Film
             film.props = mi.Properties("hdrfilm")
@@ -118,45 +94,3 @@ def _resize_film(film: Any, size: tuple[int, int]) -> None:
             film[crop] = max(1, film[crop] * size[axis] // before[axis])
         if offset in film:
             film[offset] = min(film[offset] * size[axis] // before[axis], size[axis] - 1)
-
-
-def _merge_meshes(state: Any) -> None:
-    """Make one of the meshes that agree in all but their vertices: 2000 render twice as fast.
-
-    Mitsuba would do that itself, but leaves shapes, and the lights among them, in an order that
-    differs from one loading to the next, and so do the images. Here lights stay as they are.
-    """
-    nodes, root = state.nodes, state.root.props
-    alike: dict[Any, list[str]] = {}
-    for name in root.keys():
-        if root.type(name) != mi.Properties.Type.ResolvedReference:
-            continue
-        props = nodes[root[name].index()].props
-        if props.plugin_name() not in ("cube", "obj", "ply", "rectangle", "serialized"):
-            continue
-        held = sorted(
-            (str(nodes[props[child].index()].type), props[child].index(), child)
-            for child in props.keys()
-            if props.type(child) == mi.Properties.Type.ResolvedReference
-        )
-        kinds = {kind for kind, _, _ in held}
-        if kinds <= {str(mi.ObjectType.BSDF), str(mi.ObjectType.Medium)}:
-            medium = str(mi.ObjectType.Medium)
-            shared = tuple((kind, i, child if kind == medium else "") for kind, i, child in held)
-            key = (props.plugin_name(), props.get("face_normals", False), shared)
-            alike.setdefault(key, []).append(name)
-    for number, names in enumerate(alike.values()):
-        if len(names) > 1:
-            merged = mi.parser.SceneNode()
-            merged.type = mi.ObjectType.Shape
-            merged.props = mi.Properties("merge")
-            for name in names:
-                merged.props[name] = mi.Properties.ResolvedReference(root[name].index())
-                del root[name]
-            nodes.append(merged)
-            root[f"merged_meshes_{number}"] = mi.Properties.ResolvedReference(len(nodes) - 1)
-
-
-def _children(props: Any) -> set[int]:
-    kind = mi.Properties.Type.ResolvedReference
-    return {props[name].index() for name in props.keys() if props.type(name) == kind}

@@ -6,6 +6,8 @@ from typing import Any
 
 import mitsuba as mi
 
+from ..system import insides
+
 __all__ = ["media", "shapes"]
 
 
@@ -13,7 +15,7 @@ def shapes(scene: mi.Scene) -> list[Any]:
     """All shapes, also those that are only there as instances."""
     direct = scene.shapes()
     if any(shape.class_name() == "Instance" for shape in direct):
-        return [node for node in mi.traverse(scene).hierarchy if isinstance(node, mi.Shape)]
+        return insides.nested(scene, mi.Shape)
     return direct
 
 

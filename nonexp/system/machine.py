@@ -10,6 +10,7 @@ import os
 import platform
 import re
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 __all__ = [
@@ -30,6 +31,13 @@ LLVM_VARIABLE = "DRJIT_LIBLLVM_PATH"
 
 OLDEST_LLVM = 17
 """Oldest usable major version: with 15 and 16 Dr.Jit aborts the process in its first kernel."""
+
+# What a backend of Dr.Jit needs beside the LLVM library, on which there is more to say.
+_NEEDS = {
+    "llvm": None,
+    "cuda": "an NVIDIA GPU and its driver",
+    "metal": "macOS and a GPU with Metal",
+}
 
 _INSTALL = {
     "Linux": "apt-get install libllvm19",
@@ -72,8 +80,9 @@ class Report:
     """What :func:`inspect` found.
 
     ``variants`` are the supported variants of this Mitsuba that work here; ``gpu`` says whether
-    Dr.Jit can use a GPU; ``llvm_path`` and ``llvm_version`` what its LLVM backend uses, None where
-    it has none; ``problem`` is the sentence that says why the LLVM backend does not work, or None.
+    Dr.Jit can use an NVIDIA GPU; ``llvm_path`` and ``llvm_version`` what its LLVM backend uses,
+    None where it has none; ``problem`` is the sentence that says why the LLVM backend does not
+    work, or None.
     """
 
     variants: tuple[str, ...]
@@ -150,8 +159,9 @@ def inspect() -> Report:
     gpu = bool(dr.has_backend(dr.JitBackend.CUDA))
     path, version = _llvm()
     problem = _llvm_problem(path, version)
-    works = {"llvm": problem is None, "cuda": gpu}
-    variants = tuple(v for v in _supported() if works[v[:4]])
+    metal = bool(dr.has_backend(dr.JitBackend.Metal))
+    works = {"llvm": problem is None, "cuda": gpu, "metal": metal}
+    variants = tuple(v for v in _supported() if works[_backend(v)])
     return Report(variants, gpu, path, version, problem)
 
 
@@ -176,7 +186,11 @@ def _supported() -> list[str]:
     import mitsuba as mi
 
     names: list[str] = mi.variants()
-    return [v for v in names if v[:4] in ("llvm", "cuda") and not v.endswith("polarized")]
+    return [v for v in names if _backend(v) in _NEEDS and not v.endswith("polarized")]
+
+
+def _backend(variant: str) -> str:
+    return variant.partition("_")[0]
 
 
 def _llvm_problem(path: str | None, version: tuple[int, int, int] | None) -> str | None:
@@ -199,9 +213,14 @@ def _llvm_problem(path: str | None, version: tuple[int, int, int] | None) -> str
     return None
 
 
-def choose_variant(gpu: bool) -> str:
-    """The variant to render with if none is asked for."""
-    return "cuda_ad_rgb" if gpu else "llvm_ad_rgb"
+def choose_variant(gpu: bool, variants: Sequence[str] = ()) -> str:
+    """The variant to render with if none is asked for: CUDA if there is such a GPU, then LLVM.
+
+    ``variants`` are those that work. Metal, which nonexp has never been tested with, is chosen
+    only where LLVM does not work.
+    """
+    name = "cuda_ad_rgb" if gpu else "llvm_ad_rgb"
+    return "metal_ad_rgb" if name not in variants and "metal_ad_rgb" in variants else name
 
 
 def check_variant(name: str | None) -> str:
@@ -213,16 +232,16 @@ def check_variant(name: str | None) -> str:
     import mitsuba as mi
 
     report = inspect()
-    name = choose_variant(report.gpu) if name is None else name
+    name = choose_variant(report.gpu, report.variants) if name is None else name
     if name in report.variants:
         return name
     if name not in _supported():
         known = "is not supported" if name in mi.variants() else "is unknown"
         raise MachineError(f"variant {name!r} {known}: it must be one of {', '.join(_supported())}")
-    if name.startswith("cuda"):
+    if needs := _NEEDS[_backend(name)]:
         usable = ", ".join(report.variants) or "none; run `nonexp doctor`"
         raise MachineError(
-            f"variant {name!r} needs an NVIDIA GPU and its driver, which are not found: "
+            f"variant {name!r} needs {needs}, which are not found: "
             f"variants that work here are {usable}"
         )
     raise MachineError(report.problem or f"variant {name!r} does not work on this machine")

@@ -16,20 +16,22 @@ from typing import Any
 
 __all__ = ["files", "load_function"]
 
-_lock = threading.RLock()  # a module may make models of such functions itself
-_imported: dict[Path, dict[str, ModuleType]] = {}
-"""by folder: the modules that were imported from there"""
-_states: dict[ModuleType, tuple[int, int]] = {}
-"""time of change and size of their files when they were"""
+_lock = threading.RLock()  # a module may create models of such functions itself
+_imported: dict[Path, dict[str, tuple[ModuleType, tuple[int, int]]]] = {}
+"""by folder: the modules imported from there, with the state of their files when they were"""
 
 
 def load_function(label: str, name: Any, folders: Sequence[str] = ()) -> Callable[..., Any]:
     """The function that ``module:function`` names; the module may also lie in one of ``folders``.
 
-    A module in one of the folders comes before any other of its name, and is imported anew when it
-    has changed, or one that it imports from there: two scenes can have modules of the same name,
-    and a scene that is loaded again finds its law as it is now. Packages that the program has
-    imported itself are not replaced.
+    A module in one of the folders takes precedence over any other of its name, and so does what it
+    imports from there: two scenes can have modules of the same name. It is imported anew when one
+    of these files has changed, so that a scene loaded again finds its law as it is now. Packages
+    that the program has imported itself are not replaced.
+
+    The modules keep their own names (not unique ones, under which ``importlib`` could load them
+    side by side), since they import each other by these, and since functions are shown, written
+    and pickled as ``module:function``.
 
     Raises ``ValueError`` when there is none. Importing a module runs it.
     """
@@ -58,13 +60,13 @@ def load_function(label: str, name: Any, folders: Sequence[str] = ()) -> Callabl
 def files(module: str, folders: Iterable[Path]) -> list[Path]:
     """The files that a module in one of the folders is made of: it, and what it imports there.
 
-    Finds the imports by reading, without running them; none for a module of elsewhere.
+    Finds the imports by reading, without running them. Empty for a module from elsewhere.
     """
     beside = [folder.resolve() for folder in folders]
     if (home := _home(module, beside)) is None:
         return []
     finder = ModuleFinder([str(home)])
-    with contextlib.suppress(ImportError, SyntaxError):  # told when it is imported
+    with contextlib.suppress(ImportError, SyntaxError):  # reported when it is imported
         finder.import_hook(module)
     named: list[Any] = [getattr(found, "__file__", None) for found in finder.modules.values()]
     path = home / module.replace(".", "/")
@@ -80,7 +82,7 @@ def _import(module: str, folders: Sequence[Path]) -> ModuleType:
     """Import a module, looked for in the folders first."""
     path, writes = list(sys.path), sys.dont_write_bytecode
     sys.path[:0] = [str(folder) for folder in folders]
-    sys.dont_write_bytecode = True  # it would hide changes within a second
+    sys.dont_write_bytecode = True  # bytecode would hide changes within a second
     try:
         importlib.invalidate_caches()
         return importlib.import_module(module)
@@ -100,23 +102,25 @@ def _holds(folder: Path, module: str) -> bool:
 def _import_from(folder: Path, module: str) -> ModuleType:
     """Import a module that lies in the folder, as it is now.
 
-    Modules of its name, and those that were imported for other folders, step aside meanwhile. What
-    somebody else imported from this folder is taken as it is.
+    Modules of other places, but no packages, step aside meanwhile if they have the name of a file
+    in the folder; so does what was imported for another folder. What the program itself imported
+    from this folder is used.
     """
     ours = _imported.get(folder, {})
-    if any(_state(old) != _states[old] for old in ours.values()):
-        for name, old in ours.items():
-            del _states[old]
+    if any(_state(old) != state for old, state in ours.values()):
+        for name, (old, _) in ours.items():
             if sys.modules.get(name) is old:
                 del sys.modules[name]
         ours = {}
-    others = {name for home, names in _imported.items() if home != folder for name in names}
+    names = {file.stem for file in folder.glob("*.py")} - sys.stdlib_module_names
+    names = {name for name in names if not hasattr(sys.modules.get(name), "__path__")} | {module}
+    names.update(name for home, held in _imported.items() if home != folder for name in held)
     aside = {
         name: sys.modules.pop(name)
-        for name in (others | {module}) & sys.modules.keys()
+        for name in names & sys.modules.keys()
         if not _lies_in(sys.modules[name], folder)
     }
-    sys.modules.update(ours)
+    sys.modules.update({name: old for name, (old, _) in ours.items()})
     before = set(sys.modules)
     try:
         return _import(module, [folder])
@@ -124,14 +128,13 @@ def _import_from(folder: Path, module: str) -> ModuleType:
         for name in sys.modules.keys() - before:
             new = sys.modules[name]
             if name.partition(".")[0] not in before and _lies_in(new, folder):
-                ours[name] = new
-                _states[new] = _state(new)
+                ours[name] = new, _state(new)
         _imported[folder] = ours
         sys.modules.update(aside)
 
 
 def _state(module: ModuleType) -> tuple[int, int]:
-    """Time of change and size of a module's file; zeros where it is gone."""
+    """Modification time and size of a module's file; zeros where it is gone."""
     try:
         status = os.stat(str(module.__file__))
     except OSError:
@@ -140,7 +143,7 @@ def _state(module: ModuleType) -> tuple[int, int]:
 
 
 def _lies_in(module: ModuleType, folder: Path) -> bool:
-    """Whether a module's file is in the folder or in a package of it; it may be a link there."""
+    """Whether a module's file, which may be a link, is in the folder or in a package of it."""
     file = getattr(module, "__file__", None)
     if file is None:
         return False
