@@ -318,7 +318,7 @@ class Connections:
             return dr.select(dr.isinf(line.distance), dr.inf, distance)
 
         def body(sampler: mi.Sampler, s: _Ray) -> tuple[mi.Sampler, _Ray]:
-            si = self.tracer.intersect(s.ray, False, s.active)
+            si, contact = self.tracer.hit(s.ray, False, s.active)
             hit = s.active & si.is_valid()
             through = self.through(si, hit)
             s.transmittance = dr.select(hit, s.transmittance * through, s.transmittance)
@@ -335,7 +335,7 @@ class Connections:
                     s.transmittance *= tracking.transmittance(
                         media, s.location, onward, length, sampler, tracked
                     )
-                beyond = media.behind(si, hit, s.location, s.ray.d)
+                beyond = media.behind(si, hit, s.location, s.ray.d, contact)
                 left = beyond != s.location
                 survival = media.ask("survival", s.location, s.from_particle, s.tau)
                 s.transmittance = dr.select(

@@ -18,6 +18,8 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from nonexp.system import insides
+
 from .jit import Numbering, opaque, recording
 from .rays import Subscenes, place
 
@@ -326,7 +328,7 @@ class Surfaces(Refraction):
         d = dr.normalize(d)
         flags = mi.RayFlags.All
         if self._others:
-            flags |= mi.RayFlags.dNSdUV
+            flags |= insides.normal_derivatives()
         si = self._scene.ray_intersect(mi.Ray3f(x, d), flags, False, active)
         dp, dn = (si.dp_du, si.dp_dv), (si.dn_du, si.dn_dv)
         if self._meshes:

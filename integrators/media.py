@@ -25,6 +25,7 @@ from nonexp.plugins.spectra import grey, somewhere, visible
 from nonexp.transmittance import Draw, Transmittance
 
 from .jit import Numbering, opaque, recording
+from .rays import Contact
 
 
 def medium_interaction(
@@ -343,10 +344,42 @@ class Media(ABC):
     def inside(self, location: Any) -> Any:
         """Mask of the locations that lie in a medium."""
 
-    def behind(self, si: Any, active: Any, location: Any, direction: Any) -> Any:
-        """Location of a ray that leaves a surface in ``direction``, having come in ``location``."""
+    def behind(
+        self, si: Any, active: Any, location: Any, direction: Any, contact: Contact | None = None
+    ) -> Any:
+        """Location of a ray that leaves a surface in ``direction``, having come in ``location``.
+
+        Where surfaces coincide, ``contact`` has all of them.
+        """
         crossing = active & si.is_medium_transition()
-        return dr.select(crossing, self.at(si.target_medium(direction)), location)
+        beyond = dr.select(crossing, self.at(si.target_medium(direction)), location)
+        if contact is None:
+            return beyond
+        return dr.select(
+            active & contact.several, self._through(contact, location, direction), beyond
+        )
+
+    def _through(self, contact: Contact, location: Any, direction: Any) -> Any:
+        """Location beyond all surfaces in one place, each of which leads from one medium to
+        another: those are passed in the order in which they fit together."""
+        steps = []
+        for si, there in contact.surfaces:
+            through = dr.dot(si.n, direction) * dr.dot(si.n, contact.d) > 0
+            crossed = there & through & si.is_medium_transition()
+            before, after = (self.at(si.target_medium(d)) for d in (-direction, direction))
+            steps.append([crossed, before, after])
+        beyond, fits = location, mi.Bool(False)
+        for _ in steps:
+            for step in steps:
+                left, before, after = step
+                taken = left & (before == beyond)
+                beyond = dr.select(taken, after, beyond)
+                fits |= taken
+                step[0] = left & ~taken
+        # What began in a medium without saying so: as behind a single surface.
+        for left, _, after in reversed(steps):
+            beyond = dr.select(left & ~fits, after, beyond)
+        return beyond
 
     def where(self, fact: str, location: Any) -> Any:
         """Mask of the locations in media for which a fact holds."""

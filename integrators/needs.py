@@ -5,16 +5,19 @@ The integrator's kernel holds only the parts that these answers ask for.
 
 from __future__ import annotations
 
-from collections import OrderedDict
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import mitsuba as mi
 import numpy as np
 
 from nonexp.scene import walk
+from nonexp.system import insides
 
+from .coincident import Coincident, coincident
+from .jit import Remembered
 from .media import entry_of
+from .rays import Offset
 
 _SMOOTH = ("Sphere", "Cylinder", "Disk", "Rectangle")
 
@@ -30,8 +33,7 @@ _TELLING = (
     "CircularPolarizer",
 )
 
-_known: OrderedDict[tuple[int, int], tuple[Any, bool]] = OrderedDict()
-_KEPT = 64
+_known = Remembered(64)
 
 
 @dataclass(frozen=True)
@@ -62,6 +64,8 @@ class SceneNeeds:
     """The sphere that is the only null surface, and the only boundary of the only medium."""
     lobes: tuple[Any, ...] = ()
     """Smooth dielectric shapes through which connections from inside bend."""
+    coincident: Coincident = field(default_factory=Coincident)
+    """Shapes of which parts lie in one place, boundaries among them."""
     silent: tuple[Any, ...] = ()
     """BSDFs that let rays straight through, but do not tell shadow rays how many."""
 
@@ -75,6 +79,7 @@ class SceneNeeds:
         shapes, media = walk.shapes(scene), walk.media(scene)
         if start is not None and start not in media:
             media.insert(0, start)
+        together = coincident(scene.shapes(), Offset(scene).extent)
         emitter_flags = [emitter.flags() for emitter in scene.emitters()]
         delta, infinite = mi.EmitterFlags.Delta, mi.EmitterFlags.Infinite
         return SceneNeeds(
@@ -94,8 +99,9 @@ class SceneNeeds:
                 mi.has_flag(flags, delta) and not mi.has_flag(flags, infinite)
                 for flags in emitter_flags
             ),
-            null_ball=_null_ball(shapes, media),
+            null_ball=None if together.groups else _null_ball(shapes, media),
             lobes=_lobes(scene, shapes, refractive) if emitter_flags else (),
+            coincident=together,
             silent=_silent(shapes),
         )
 
@@ -107,7 +113,7 @@ def _null_ball(shapes: list[Any], media: list[Any]) -> Any:
     if len(null) != 1 or bounds != null or len(media) != 1:
         return None
     ball = null[0]
-    plain = ball.shape_type() == mi.ShapeType.Sphere and not ball.has_flipped_normals()
+    plain = ball.shape_type() == mi.ShapeType.Sphere and not insides.flips_normals(ball)
     plain = plain and ball.bsdf().class_name() == "Null" and not ball.is_emitter()
     inside = ball.interior_medium() == media[0] and ball.exterior_medium() is None
     return ball if plain and inside else None
@@ -184,10 +190,10 @@ def _lobes(scene: mi.Scene, shapes: list[Any], wanted: str) -> tuple[Any, ...]:
 def _bends(shape: Any) -> bool:
     """Whether connections can bend through a shape: its normals turn smoothly, and are known."""
     bsdf = shape.bsdf()
-    if bsdf is None or bsdf.class_name() != "SmoothDielectric" or shape.has_flipped_normals():
+    if bsdf is None or bsdf.class_name() != "SmoothDielectric" or insides.flips_normals(shape):
         return False
     if shape.is_mesh():
-        return bool(shape.has_vertex_normals() and not shape.has_face_normals())
+        return bool(insides.has_vertex_normals(shape) and not shape.has_face_normals())
     return shape.class_name() in _SMOOTH
 
 
@@ -219,7 +225,7 @@ def _encloses(shape: mi.Shape) -> bool:
 
     Certain for spheres and meshes; False for all other shapes.
     """
-    if shape.has_flipped_normals():
+    if insides.flips_normals(shape):
         return False
     if shape.is_mesh():
         return _watertight(shape)
@@ -228,16 +234,16 @@ def _encloses(shape: mi.Shape) -> bool:
 
 def _watertight(mesh: Any) -> bool:
     """Every edge belongs to two faces that run through it in opposite directions, and the faces
-    turn outwards. Vertices count as one where they coincide. Asked once per state of the mesh."""
-    positions, faces = mesh.vertex_positions_buffer(), mesh.faces_buffer()
-    key = (positions.index, faces.index)
-    if key not in _known:
-        # Holding the arrays keeps their numbers from being given to others.
-        _known[key] = (positions, faces), _is_watertight(np.array(positions), np.array(faces))
-        if len(_known) > _KEPT:
-            _known.popitem(last=False)
-    _known.move_to_end(key)
-    return _known[key][1]
+    turn outwards. Vertices count as one where they coincide. Cached per state of the mesh."""
+    positions, faces = insides.vertex_positions(mesh), insides.faces(mesh)
+    key = insides.variables(positions, faces)
+    return bool(
+        _known.get(
+            key,
+            (positions, faces),
+            lambda: _is_watertight(np.array(positions), np.array(faces)),
+        )
+    )
 
 
 def _is_watertight(positions: Any, faces: Any) -> bool:

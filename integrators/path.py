@@ -16,6 +16,7 @@ import mitsuba as mi
 from . import tracking
 from .connection import BentRay, Connections, Hit, Link, Start
 from .media import Media, medium_interaction, optical_depth
+from .rays import Contact
 from .spectral import at_channel, balanced
 from .surface import eval_pdf_sample
 
@@ -107,6 +108,8 @@ class Arrival:
     ray: Any
     si: Any
     """surface that the ray hits"""
+    contact: Contact | None
+    """all surfaces there, where some coincide"""
     bsdf: Any
     """its BSDF"""
     collided: Any
@@ -263,9 +266,9 @@ class Events:
         first, last = s.depth == 0, s.depth + 1 >= self.options.max_depth
         ray = mi.Ray3f(s.o, s.d, s.far, self.time, self.wavelengths)
         if not (media and flight):
-            si = self._intersect(ray, first, s.active)
-            none = mi.Bool(False)
-            return Arrival(first, last, ray, si, si.bsdf(), none, s.active, si.p, s.throughput)
+            si, contact = self._intersect(ray, first, s.active)
+            surface = first, last, ray, si, contact, si.bsdf()
+            return Arrival(*surface, mi.Bool(False), s.active, si.p, s.throughput)
 
         location = flight.location
         inside = s.active & media.inside(location)
@@ -279,7 +282,7 @@ class Events:
         travelled = tau / sigma_t  # from the last event, not from the ray's origin
         t_collision = travelled - gap
         ray.maxt = dr.select(inside, dr.minimum(t_collision, s.far), s.far)
-        si = self._intersect(ray, first, s.active)
+        si, contact = self._intersect(ray, first, s.active)
         tracked = tracked_balance = None
         if media.tracks:
             tracked = inside & media.holds("tracked", location)
@@ -291,8 +294,8 @@ class Events:
         # A tie of collision and surface is a collision; what never ends sees infinity.
         collided = inside & (t_collision <= si.t) & (t_collision <= s.far)
         p = dr.select(collided, _collision(s, flight, travelled, gap), si.p)
-        on_surface = s.active & ~collided
-        a = Arrival(first, last, ray, si, si.bsdf(), collided, on_surface, p, s.throughput)
+        surface = first, last, ray, si, contact, si.bsdf()
+        a = Arrival(*surface, collided, s.active & ~collided, p, s.throughput)
         a.inside, a.sigma_t, a.tau, a.gap, a.drawn, a.tracked = (
             inside, sigma_t, tau, gap, drawn, tracked,
         )  # fmt: skip
@@ -309,17 +312,17 @@ class Events:
             a.carried = s.throughput * a.balance
         return a
 
-    def _intersect(self, ray: Any, first: Any, active: Any) -> Any:
+    def _intersect(self, ray: Any, first: Any, active: Any) -> tuple[Any, Contact | None]:
         """The surface that a ray hits; behind the emitters, if these are hidden."""
-        si = self.nee.tracer.intersect(ray, first, active)
+        si, contact = self.nee.tracer.hit(ray, first, active)
         if not self.options.hide_emitters:
-            return si
+            return si, contact
         hidden = active & first & si.is_valid() & (si.shape.emitter() != None)  # noqa: E711
         onward = si.spawn_ray(ray.d)
         behind = self.options.skip_area_emitters(self.nee.scene, onward, True, hidden)
         skipped = behind.compute_surface_interaction(onward, mi.RayFlags.All, hidden)
         skipped.t += si.t
-        return dr.select(hidden, skipped, si)
+        return dr.select(hidden, skipped, si), contact
 
     # ------------------------------------------------------------- emission hit by the ray
 
@@ -376,7 +379,7 @@ class Events:
         """What a connection contributes."""
         location = s.flight.location if s.flight else None
         if self.media and self.nee.needs.smooth_boundaries:
-            leaving = partial(self.media.behind, a.si, a.on_surface, location)
+            leaving = partial(self._behind, a, location)
         else:
             leaving = partial(_stay, location)
         start = Start(vertex, leaving, a.collided)
@@ -486,10 +489,15 @@ class Events:
         s.glass.anchor = dr.select(scattered & in_glass, a.p, s.glass.anchor)
         return out
 
+    def _behind(self, a: Arrival, location: Any, d: Any) -> Any:
+        """Location of a ray that leaves an event in direction ``d``."""
+        assert self.media
+        return self.media.behind(a.si, a.on_surface, location, d, a.contact)
+
     def _go_on(self, media: Media, s: Path, flight: Flight, a: Arrival, scattered: Any) -> None:
         """Begin a flight, or go on with the present one, straight through a null surface."""
         flight.offset = mi.Vector3f(s.o - a.p)
-        beyond = media.behind(a.si, a.on_surface, flight.location, s.d)
+        beyond = self._behind(a, flight.location, s.d)
         fresh = flight.fresh
         if self.null:
             fresh = flight.fresh = scattered | (beyond != flight.location)

@@ -7,7 +7,6 @@ what lies behind them then needs no test at all.
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,7 +14,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .jit import opaque, recording
+from nonexp.system import insides
+
+from .jit import Numbering, Remembered, opaque, recording
 
 MOST_SPHERES = 32
 
@@ -25,7 +26,6 @@ MOST_FACES = 1 << 18
 MOST_SHAPES = 64
 """With more than this, looking whether one has changed takes milliseconds in each render."""
 
-_KEPT = 4
 _PLACED = ("Sphere", "Cylinder", "Disk", "Rectangle")
 
 # In steps of the coordinates' precision: what intersections and positions may be off by.
@@ -50,8 +50,8 @@ class Offset:
         self._relative = 1500 * epsilon  # Mitsuba's RayEpsilon
         box = scene.bbox()
         extent = np.max(np.abs([box.min, box.max])) if box.valid() else 0.0
-        limit = _STEPS * epsilon * min(float(extent), 1e30)
-        self.limit = opaque(mi.Float, limit)
+        self.extent = _STEPS * epsilon * min(float(extent), 1e30)
+        self.limit = opaque(mi.Float, self.extent)
         """Greatest distance, but for surfaces that a ray grazes."""
 
     def onward(self, vertex: Any, d: Any) -> Any:
@@ -73,6 +73,11 @@ class Offset:
         distance = dr.norm(d)
         length = distance * (1 - 10 * self._relative)
         return mi.Ray3f(origin, d / distance, length, vertex.time, vertex.wavelengths)
+
+    def reach(self, si: Any, d: Any) -> Any:
+        """Distance along a ray within which surfaces coincide: none that it starts beyond."""
+        cosine = dr.maximum(dr.abs(dr.dot(si.n, d)), _GRAZING)
+        return 0.9 * self._size(si) / cosine
 
     def _size(self, vertex: Any) -> Any:
         mitsubas = (1 + dr.max(dr.abs(vertex.p))) * self._relative
@@ -157,19 +162,89 @@ def separate(scene: mi.Scene) -> tuple[tuple[Sphere, ...], tuple[Any, ...]]:
 # --------------------------------------------------------------------- intersections
 
 
+@dataclass
+class Contact:
+    """All surfaces in the place where a ray hits several."""
+
+    several: Any
+    """there may be"""
+    d: Any
+    """direction of the ray"""
+    surfaces: list[tuple[Any, Any]]
+    """each group's surface, and whether it is there"""
+
+
+class Contacts:
+    """Finds the surfaces that coincide with one that was hit, in ``groups`` of shapes.
+
+    ``ranks`` (for all shapes, group by group) tell which of them scatters: that of the greatest.
+    Meshes with ``doubled`` faces are divided into two without.
+    """
+
+    def __init__(
+        self, groups: Any, ranks: Any, doubled: Any, subscenes: Subscenes, offset: Offset
+    ) -> None:
+        shapes = [shape for group in groups for shape in group]
+        halves = {id(mesh): subscenes.divided(mesh, faces) for mesh, faces in doubled}
+        layers = [
+            tuple(halves[id(shape)][0] if id(shape) in halves else shape for shape in group)
+            for group in groups
+        ]
+        if halves:
+            layers.append(tuple(half for _, half in halves.values()))
+        self._scenes = [subscenes.of(layer) for layer in layers]
+        ranked = dict(zip(map(id, shapes), ranks, strict=True))
+        parts = [(half, ranked[mesh]) for mesh, both in halves.items() for half in both]
+        ranked_shapes = [*zip(shapes, ranks, strict=True), *parts]
+        self._numbering = Numbering([mi.ShapePtr(shape) for shape, _ in ranked_shapes])
+        self._ranks = mi.UInt32([0, *(rank + 1 for _, rank in ranked_shapes)])
+        self._offset = offset
+
+    def at(self, ray: mi.Ray3f, si: Any, active: Any) -> tuple[Any, Contact]:
+        """The surface that scatters where a ray hits ``si``, and all that are there."""
+        several = active & (self._numbering.of(si.shape) != 0)
+        reach = self._offset.reach(si, ray.d)
+        start = dr.fma(ray.d, si.t - reach, ray.o)
+        around = mi.Ray3f(start, ray.d, 2 * reach, ray.time, ray.wavelengths)
+        best, rank, surfaces = si, self._rank(si, several), []
+        for scene in self._scenes:
+            other = scene.ray_intersect(around, mi.RayFlags.All, False, several)
+            there = several & other.is_valid()
+            other.t = si.t
+            better = there & (self._rank(other, there) > rank)
+            rank = dr.select(better, self._rank(other, there), rank)
+            best = dr.select(better, other, best)
+            surfaces.append((other, there))
+        return best, Contact(several, ray.d, surfaces)
+
+    def _rank(self, si: Any, active: Any) -> Any:
+        return dr.gather(mi.UInt32, self._ranks, self._numbering.of(si.shape), active)
+
+
 class Tracer:
     """Intersects rays with one scene: its ``spheres`` here, everything else by Mitsuba."""
 
-    def __init__(self, scene: Any, spheres: tuple[Sphere, ...] = ()) -> None:
-        self._scene, self.spheres = scene, spheres
+    def __init__(
+        self, scene: Any, spheres: tuple[Sphere, ...] = (), contacts: Contacts | None = None
+    ) -> None:
+        self._scene, self.spheres, self._contacts = scene, spheres, contacts
 
     @staticmethod
-    def of(scene: mi.Scene, subscenes: Subscenes) -> Tracer:
+    def of(scene: mi.Scene, subscenes: Subscenes, contacts: Contacts | None = None) -> Tracer:
         """The tracer of a scene."""
         spheres, rest = separate(scene)
         if not spheres:
-            return Tracer(scene)
-        return Tracer(subscenes.of(rest) if rest else None, spheres)
+            return Tracer(scene, contacts=contacts)
+        return Tracer(subscenes.of(rest) if rest else None, spheres, contacts)
+
+    def hit(
+        self, ray: mi.Ray3f, coherent: Any, active: Any
+    ) -> tuple[mi.SurfaceInteraction3f, Contact | None]:
+        """The first surface on a ray, and all surfaces there in a scene where some coincide."""
+        si = self.intersect(ray, coherent, active)
+        if self._contacts is None:
+            return si, None
+        return self._contacts.at(ray, si, active & si.is_valid())
 
     def intersect(self, ray: mi.Ray3f, coherent: Any, active: Any) -> mi.SurfaceInteraction3f:
         """The first surface on a ray."""
@@ -245,32 +320,58 @@ class Subscenes:
     """
 
     def __init__(self) -> None:
-        self._known: OrderedDict[tuple[Any, ...], tuple[Any, Any]] = OrderedDict()
+        self._known, self._parts = Remembered(4), Remembered(4)
 
     def of(self, shapes: tuple[Any, ...]) -> mi.Scene:
         """A scene of these shapes alone.
 
         Not while a function is being frozen, which can use only the scenes that it was given.
         """
-        states = [_state(shape) for shape in shapes]
-        key = tuple((id(shape), *state[1:]) for shape, state in zip(shapes, states, strict=True))
-        if key not in self._known:
-            properties = mi.Properties("scene")
-            for number, shape in enumerate(shapes):
-                properties[f"shape_{number}"] = shape
-            scene = mi.PluginManager.instance().create_object(properties)
-            # Holding shapes and arrays keeps their numbers from being given to others.
-            self._known[key] = scene, (shapes, states)
-            if len(self._known) > _KEPT:
-                self._known.popitem(last=False)
-        self._known.move_to_end(key)
-        return self._known[key][0]
+        states = [state(shape) for shape in shapes]
+        key = tuple(
+            (id(shape), *numbers) for shape, (_, numbers) in zip(shapes, states, strict=True)
+        )
+        return self._known.get(key, (shapes, states), lambda: _scene_of(shapes))
+
+    def divided(self, mesh: Any, faces: Any) -> tuple[Any, Any]:
+        """An index-matched mesh in two: without the faces of a mask, and with them alone."""
+        arrays, numbers = state(mesh)
+        key = (id(mesh), numbers)
+        both: tuple[Any, Any] = self._parts.get(
+            key, (mesh, arrays), lambda: (_part_of(mesh, ~faces), _part_of(mesh, faces))
+        )
+        return both
 
 
-def _state(shape: Any) -> tuple[Any, ...]:
-    """What changes with a shape's geometry, behind the arrays that this refers to."""
+def _part_of(mesh: Any, faces: Any) -> Any:
+    """Some faces of an index-matched mesh, with its media."""
+    properties = mi.Properties("part")
+    properties["bsdf"] = mesh.bsdf()
+    for side in ("interior", "exterior"):
+        if (medium := getattr(mesh, f"{side}_medium")()) is not None:
+            properties[side] = medium
+    positions, chosen = insides.vertex_positions(mesh), np.array(insides.faces(mesh))
+    chosen = chosen.reshape(-1, 3)[faces]
+    part: Any = mi.Mesh("part", len(positions) // 3, len(chosen), props=properties)
+    parameters = mi.traverse(part)
+    parameters["vertex_positions"] = mi.Float(positions)
+    parameters["faces"] = mi.UInt32(chosen.ravel())
+    parameters.update()
+    return part
+
+
+def _scene_of(shapes: tuple[Any, ...]) -> Any:
+    properties = mi.Properties("scene")
+    for number, shape in enumerate(shapes):
+        properties[f"shape_{number}"] = shape
+    return mi.PluginManager.instance().create_object(properties)
+
+
+def state(shape: Any) -> tuple[Any, tuple[int, ...]]:
+    """The arrays that hold a shape's geometry, and their numbers, which change when it does."""
     if shape.is_mesh():
-        positions, faces = shape.vertex_positions_buffer(), shape.faces_buffer()
-        return (positions, faces), positions.index, faces.index
-    matrix = mi.traverse(shape)["to_world"].matrix
-    return (matrix, *(entry.index for row in matrix for entry in row))
+        arrays: Any = insides.vertex_positions(shape), insides.faces(shape)
+    else:
+        matrix = mi.traverse(shape)["to_world"].matrix
+        arrays = tuple(entry for row in matrix for entry in row)
+    return arrays, insides.variables(*arrays)

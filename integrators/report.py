@@ -37,6 +37,7 @@ def findings(scene: mi.Scene) -> list[Finding]:
     return [
         *_media(needs, media),
         _null(needs, media, spheres),
+        _coincident(needs),
         _spheres(scene, spheres),
         Finding(
             "emitters",
@@ -106,6 +107,20 @@ def _null(needs: SceneNeeds, media: Media | None, spheres: list[mi.Shape]) -> Fi
     return Finding("surfaces that let rays straight through", answer, effect)
 
 
+def _coincident(needs: SceneNeeds) -> Finding:
+    question = "boundaries that coincide with other surfaces"
+    pairs = [" and ".join(sorted(map(_name, pair))) for pair in needs.coincident.pairs]
+    pairs += [f"faces of {_name(mesh)}" for mesh, _ in needs.coincident.doubled]
+    if not pairs:
+        return Finding(question, "none", "skipped: looks for all surfaces in one place")
+    shown = ", ".join(pairs[:4]) + (f" and {len(pairs) - 4} more" if len(pairs) > 4 else "")
+    return Finding(question, shown, "rays look for all surfaces in one place")
+
+
+def _name(shape: mi.Shape) -> str:
+    return str(shape.id() or shape.class_name())
+
+
 def _spheres(scene: mi.Scene, spheres: list[mi.Shape]) -> Finding:
     count = sum(shape.class_name() == "Sphere" for shape in scene.shapes())
     if spheres:
@@ -145,7 +160,7 @@ def _connections(needs: SceneNeeds, media: Media | None) -> Finding:
 def _glass(scene: mi.Scene, needs: SceneNeeds, wanted: str) -> Finding:
     question = "connections through smooth glass"
     if needs.lobes:
-        names = ", ".join(shape.id() or shape.class_name() for shape in needs.lobes)
+        names = ", ".join(_name(shape) for shape in needs.lobes)
         return Finding(question, f"out of {names}", "a search for the way, media on it")
     skipped = "skipped: the search for a way through the surface"
     if wanted == "off":

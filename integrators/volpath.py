@@ -16,7 +16,7 @@ from .jit import Numbering
 from .media import scene_media
 from .needs import SceneNeeds
 from .path import Events
-from .rays import NullBall, Offset, Subscenes, Tracer
+from .rays import Contacts, NullBall, Offset, Subscenes, Tracer
 from .spectral import draw_channel
 
 
@@ -51,7 +51,7 @@ class NonexpVolpath(mi.SamplingIntegrator):
         self.rr_depth = _integer(props, "rr_depth", 5, "an integer > 0", 1)
         self.hide_emitters = props.get("hide_emitters", False)
         self.refractive_nee = _choice(props, "refractive_nee", ("auto", "on", "off"))
-        self._subscenes = Subscenes()
+        self._subscenes, self._contact_scenes = Subscenes(), Subscenes()
 
     def sample(
         self,
@@ -67,11 +67,17 @@ class NonexpVolpath(mi.SamplingIntegrator):
         glass = refraction(needs.lobes, self._subscenes)
         ends = needs.smooth_surfaces or glass or (media and media.connects)
         connects = needs.emitters and bool(ends)
-        tracer = Tracer.of(scene, self._subscenes)
+        offset, together = Offset(scene), needs.coincident
+        contacts = None
+        if together.groups:
+            contacts = Contacts(
+                together.groups, together.ranks, together.doubled, self._contact_scenes, offset
+            )
+        tracer = Tracer.of(scene, self._subscenes, contacts)
         tracks = media and media.tracks
         ball = NullBall.of(needs.null_ball, tracer) if connects and not tracks else None
         silent = Numbering([mi.BSDFPtr(bsdf) for bsdf in needs.silent]) if needs.silent else None
-        nee = Connections(scene, tracer, needs, media, Offset(scene), glass, ball, silent)
+        nee = Connections(scene, tracer, needs, media, offset, glass, ball, silent)
         events = Events(self, nee, connects, hero, ray.time, ray.wavelengths)
         _, path = dr.while_loop(
             (sampler, events.begin(ray, medium, active)),
