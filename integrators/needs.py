@@ -17,7 +17,7 @@ from nonexp.system import insides
 from .coincident import Coincident, coincident
 from .jit import Remembered
 from .media import entry_of
-from .rays import Offset
+from .rays import Offset, place
 
 _SMOOTH = ("Sphere", "Cylinder", "Disk", "Rectangle")
 
@@ -104,6 +104,46 @@ class SceneNeeds:
             coincident=together,
             silent=_silent(shapes),
         )
+
+
+def forgotten_media(scene: mi.Scene) -> list[tuple[Any, Any]]:
+    """Sensors, and a closed medium that each stands in without referring to it.
+
+    Their rays start in vacuum. Only surfaces without gaps are looked at: spheres and meshes.
+    """
+    found = []
+    for sensor in scene.sensors():
+        transform = mi.traverse(sensor).get("to_world")
+        if sensor.get_medium() is not None or transform is None:
+            continue
+        origin = np.array(transform.matrix, dtype=float).reshape(4, 4)[:3, 3]
+        shapes = (shape for shape in scene.shapes() if shape.interior_medium() is not None)
+        inside = next((shape for shape in shapes if _holds(shape, origin)), None)
+        if inside is not None:
+            found.append((sensor, inside.interior_medium()))
+    return found
+
+
+def _holds(shape: Any, point: Any) -> bool:
+    """Whether a closed shape has a point inside; no for shapes that are not surely closed."""
+    box = shape.bbox()
+    if not (np.all(point > box.min) and np.all(point < box.max) and _encloses(shape)):
+        return False
+    if not shape.is_mesh():
+        where = place(shape)
+        centre, radius = (np.array(value, dtype=float).ravel() for value in where or ([0], [0]))
+        return bool(np.linalg.norm(point - centre) < radius)
+    corners = np.array(insides.vertex_positions(shape), dtype=float).reshape(-1, 3) - point
+    a, b, c = (corners[k] for k in np.array(insides.faces(shape)).reshape(-1, 3).T)
+    la, lb, lc = (np.linalg.norm(v, axis=1) for v in (a, b, c))
+    # Solid angles of the faces (Van Oosterom and Strackee 1983) add up to 4 pi from inside, else 0.
+    dots = la * lb * lc + _dot(a, b) * lc + _dot(b, c) * la + _dot(c, a) * lb
+    angles = 2 * np.arctan2(_dot(a, np.cross(b, c)), dots)
+    return bool(angles.sum() > 2 * np.pi)
+
+
+def _dot(a: Any, b: Any) -> Any:
+    return np.einsum("ij,ij->i", a, b)
 
 
 def _null_ball(shapes: list[Any], media: list[Any]) -> Any:

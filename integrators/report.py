@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -12,7 +13,7 @@ import numpy as np
 from nonexp.plugins.spectra import visible
 
 from .media import Entry, Media, OneMedium, scene_media
-from .needs import SceneNeeds
+from .needs import SceneNeeds, forgotten_media
 from .rays import separate
 
 
@@ -36,6 +37,7 @@ def findings(scene: mi.Scene) -> list[Finding]:
     emitters = Counter(emitter.class_name() for emitter in scene.emitters())
     return [
         *_media(needs, media),
+        _cameras(scene),
         _null(needs, media, spheres),
         _coincident(needs),
         _spheres(scene, spheres),
@@ -97,6 +99,14 @@ def _medium_effect(entry: Entry) -> str:
     return "collisions connect to emitters"
 
 
+def _cameras(scene: mi.Scene) -> Finding:
+    found = [f"{_name(camera)} in {medium.id()}" for camera, medium in forgotten_media(scene)]
+    question = "sensors in a medium that they do not refer to"
+    if not found:
+        return Finding(question, "none", "")
+    return Finding(question, ", ".join(found), "warning: their rays start in vacuum")
+
+
 def _null(needs: SceneNeeds, media: Media | None, spheres: list[mi.Shape]) -> Finding:
     if needs.null_ball in spheres and not (media and media.tracks):
         answer, effect = "one sphere", "skipped: walks; flights go on behind it"
@@ -117,8 +127,8 @@ def _coincident(needs: SceneNeeds) -> Finding:
     return Finding(question, shown, "rays look for all surfaces in one place")
 
 
-def _name(shape: mi.Shape) -> str:
-    return str(shape.id() or shape.class_name())
+def _name(thing: Any) -> str:
+    return str(thing.id() or thing.class_name())
 
 
 def _spheres(scene: mi.Scene, spheres: list[mi.Shape]) -> Finding:

@@ -12,9 +12,9 @@ import mitsuba as mi
 
 from .connection import Connections
 from .glass import refraction
-from .jit import Numbering
+from .jit import Numbering, recording
 from .media import scene_media
-from .needs import SceneNeeds
+from .needs import SceneNeeds, forgotten_media
 from .path import Events
 from .rays import Contacts, NullBall, Offset, Subscenes, Tracer
 from .spectral import draw_channel
@@ -51,6 +51,7 @@ class NonexpVolpath(mi.SamplingIntegrator):
         self.rr_depth = _integer(props, "rr_depth", 5, "an integer > 0", 1)
         self.hide_emitters = props.get("hide_emitters", False)
         self.refractive_nee = _choice(props, "refractive_nee", ("auto", "on", "off"))
+        self._warned = False
         self._subscenes, self._contact_scenes = Subscenes(), Subscenes()
 
     def sample(
@@ -61,6 +62,7 @@ class NonexpVolpath(mi.SamplingIntegrator):
         medium: Any = None,
         active: Any = True,
     ) -> tuple[mi.Spectrum, mi.Bool, list[mi.Float]]:
+        self._warn(scene, medium)
         needs = SceneNeeds.of(scene, medium, self.refractive_nee)
         media = scene_media(needs.media, needs.sealed)
         hero = draw_channel(sampler.next_1d()) if media and media.chromatic else None
@@ -86,6 +88,18 @@ class NonexpVolpath(mi.SamplingIntegrator):
             label="nonexp: path",
         )
         return path.radiance, path.opaque, []
+
+    def _warn(self, scene: mi.Scene, medium: Any) -> None:
+        """Once, of cameras that do not say that they stand in a medium."""
+        if self._warned or medium is not None or recording():
+            return
+        self._warned = True
+        for sensor, inside in forgotten_media(scene):
+            mi.Log(
+                mi.LogLevel.Warn,
+                f"sensor {sensor.id()!r} stands in the medium {inside.id()!r}, but does not refer "
+                f'to it: its rays start in vacuum (add <ref name="medium" id="..."/>)',
+            )
 
     def to_string(self) -> str:
         depth = -1 if self.max_depth == 2**32 - 1 else self.max_depth
