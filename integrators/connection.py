@@ -10,18 +10,28 @@ import drjit as dr
 import mitsuba as mi
 
 from . import tracking
-from .interaction import medium_interaction
-from .media import Media
-from .null_ball import NullBall
-from .offset import Offset
-from .refractive import Crossing, Line, Refraction
-from .scene_needs import SceneNeeds
-from .tracer import Tracer
+from .glass import Crossing, Line, Refraction
+from .jit import Numbering
+from .media import Media, medium_interaction, optical_depth
+from .needs import SceneNeeds
+from .rays import NullBall, Offset, Tracer
+
+
+@dataclass
+class Start:
+    """Where shadow rays begin."""
+
+    vertex: mi.Interaction3f
+    """the surface or the collision, whose normal is then zero"""
+    location: Callable[[Any], Any]
+    """the medium in which a ray leaves in a given direction"""
+    from_particle: Any
+    """it is a collision"""
 
 
 @dataclass
 class _Ray:
-    """State of a shadow ray on its way through index-matched boundaries."""
+    """State of a shadow ray on its way through surfaces that let light straight through."""
 
     ray: Any
     """what is left of it"""
@@ -35,6 +45,10 @@ class _Ray:
     """it is still in the medium of the collision where it began"""
     transmittance: Any
     """product over surfaces passed and media left behind"""
+    left: Any
+    """distance to the end of the line from the last surface"""
+    nudge: Any
+    """how far the ray is moved on, since it hardly got away from the last surfaces"""
     active: Any
     """neither blocked nor arrived"""
 
@@ -53,10 +67,10 @@ class BentRay:
 
 @dataclass
 class Hit:
-    """An emitter met by a ray, as connections from where the ray began see it."""
+    """An emitter hit by a ray, as connections from where the ray began see it."""
 
     ds: mi.DirectionSample3f
-    """the place that was met"""
+    """the place that was hit"""
     pdf: Any
     """solid-angle density with which a connection samples it"""
     ray_pdf: Any
@@ -64,7 +78,7 @@ class Hit:
     bent: BentRay | None
     """its way out of glass"""
     weight: Any
-    """share of the emission that counts"""
+    """share of the emission that counts, as straight connections are concerned"""
 
 
 @dataclass
@@ -108,6 +122,8 @@ class Connections:
     offset: Offset
     glass: Refraction | None
     ball: NullBall | None
+    silent: Numbering | None
+    """BSDFs that let light straight through without telling how much"""
 
     def hit(
         self,
@@ -118,7 +134,7 @@ class Connections:
         bent: BentRay | None,
         active: Any,
     ) -> Hit:
-        """What a ray from ``origin`` met; ``certain``: no connection could have found it."""
+        """What a ray from ``origin`` hit; ``certain``: no connection could have found it."""
         reference = dr.zeros(mi.Interaction3f)
         reference.p = origin
         if bent:
@@ -136,21 +152,22 @@ class Connections:
         active: Any,
         in_glass: Any,
         hit: Hit | None,
-    ) -> Link:
+    ) -> tuple[Link, Any]:
         """Sample an emitter to which ``vertex`` may be connected.
 
         ``active`` marks the vertices that connect straight, ``in_glass`` those that do through
-        glass if that is in the way. Where ``hit`` has come out of glass, it is weighed against
-        connections that bend.
+        glass if that is in the way. Also returns the share of the emission at ``hit`` that counts,
+        weighed against connections that bend where it has come out of glass.
         """
         wanted = active | in_glass if self.glass else active
         ds, light = self.scene.sample_emitter_direction(vertex, sampler.next_2d(), False, wanted)
         delta = ds.delta if self.needs.delta_emitters else None
         line, sampled = self._line(ds), ds.pdf != 0
+        weight = hit.weight if hit else None
         if not self.glass:
-            return Link(light, ds.d, ds.pdf, delta, active & sampled, line)
+            return Link(light, ds.d, ds.pdf, delta, active & sampled, line), weight
 
-        # One search serves both: a ray that met an emitter, and a new connection to one.
+        # One search serves both: a ray that hit an emitter, and a new connection to one.
         x, end, searching = mi.Point3f(vertex.p), line, in_glass & sampled
         bent = hit.bent if hit else None
         if hit and bent:
@@ -159,11 +176,11 @@ class Connections:
             searching |= bent.active
         separated, crossing = self.glass.find(x, end, vertex, searching)
         if hit and bent:
-            hit.weight = dr.select(bent.active, self._bent_weight(hit, bent, crossing), hit.weight)
+            weight = dr.select(bent.active, self._bent_weight(hit, bent, crossing), weight)
             separated &= ~bent.active
         bends = separated & crossing.found
         density = crossing.density(ds)
-        return Link(
+        link = Link(
             light=dr.select(bends, self._refracted(light, ds, crossing) / density, light),
             wo=dr.select(bends, crossing.line.d, ds.d),
             pdf=dr.select(bends, ds.pdf * density, ds.pdf),
@@ -173,34 +190,19 @@ class Connections:
             bends=bends,
             crossing=crossing,
         )
+        return link, weight
 
-    def arriving(
-        self,
-        link: Link,
-        vertex: mi.Interaction3f,
-        location: Callable[[Any], Any],
-        from_particle: Any,
-        sampler: mi.Sampler,
-        active: Any,
-    ) -> Any:
-        """Light that arrives at ``vertex`` along its connection, over the density of that.
-
-        ``location(direction)`` tells the medium in which a ray leaves the vertex; ``from_particle``
-        marks the vertices that are collisions.
-        """
+    def arriving(self, link: Link, start: Start, sampler: mi.Sampler, active: Any) -> Any:
+        """Light that arrives at ``start`` along its connection, over the density of that."""
         active = active & link.active
-        media = None if self.media and self.media.all_sealed else self.media
+        media = None if self.media and self.media.all("sealed") else self.media
         if not link.crossing:
-            share = self._arriving(
-                media, vertex, link.line, location, from_particle, sampler, active
-            )
-            return link.light * share
+            return link.light * self._share(media, start, link.line, sampler, active)
 
         # To the surface of the glass, and on behind it as any other connection.
-        bends, si, inner = link.bends, link.crossing.si, link.crossing.line
-        within = self._arriving(
-            self.media, vertex, inner, location, from_particle, sampler, active & bends
-        )
+        vertex, bends = start.vertex, link.bends
+        si, inner = link.crossing.si, link.crossing.line
+        within = self._share(self.media, start, inner, sampler, active & bends)
         surface = mi.Interaction3f(
             0,
             vertex.time,
@@ -211,25 +213,24 @@ class Connections:
 
         def behind(d: Any) -> Any:
             assert media
-            outside = media.behind(si, bends, location(inner.d), d)
-            return dr.select(bends, outside, location(d))
+            outside = media.behind(si, bends, start.location(inner.d), d)
+            return dr.select(bends, outside, start.location(d))
 
         active &= ~bends | dr.any(within != 0)
-        share = self._arriving(
-            media, surface, link.line, behind, from_particle & ~bends, sampler, active
-        )
+        exit = Start(surface, behind, start.from_particle & ~bends)
+        share = self._share(media, exit, link.line, sampler, active)
         return mi.Spectrum(link.light * dr.select(bends, within * share, share))
 
     def reflected(
         self, si: mi.SurfaceInteraction3f, vertex: mi.Interaction3f, bsdf: Any, active: Any
     ) -> Any:
-        """Emission that a ray would meet, were it reflected at the glass."""
+        """Emission that a ray would hit, were it reflected at the glass."""
         # The least random number chooses reflection.
         bs, weight = bsdf.sample(mi.BSDFContext(), si, 0.0, mi.Point2f(0.5), active)
         d = si.to_world(bs.wo)
         ray = mi.Ray3f(self.offset.onward(vertex, d), d, vertex.time, vertex.wavelengths)
-        met = self.tracer.intersect(ray, False, active)
-        return mi.Spectrum(weight * bs.pdf * met.emitter(self.scene).eval(met, active))
+        hit = self.tracer.intersect(ray, False, active)
+        return mi.Spectrum(weight * bs.pdf * hit.emitter(self.scene).eval(hit, active))
 
     def _refracted(self, light: Any, ds: mi.DirectionSample3f, crossing: Crossing) -> Any:
         """A sampled emitter's radiance over pdf, seen from behind the surface of glass."""
@@ -260,119 +261,124 @@ class Connections:
         infinite = mi.has_flag(ds.emitter.flags(), mi.EmitterFlags.Infinite)
         return Line(ds.p, ds.d, dr.select(infinite, dr.inf, ds.dist))
 
-    def _arriving(
+    def through(self, si: Any, active: Any) -> Any:
+        """Share of light that a surface lets straight through, as far as it tells."""
+        share = si.bsdf().eval_null_transmission(si, active)
+        return dr.select(self.silent.of(si.bsdf()) != 0, 0, share) if self.silent else share
+
+    def _share(
+        self, media: Media | None, start: Start, line: Line, sampler: mi.Sampler, active: Any
+    ) -> Any:
+        """Share of light that arrives at ``start`` along a line: 0 if that is blocked."""
+        vertex, d = start.vertex, line.d
+        ray = self.offset.segment(vertex, line.p)
+        if self.needs.null_surfaces and not self.ball:
+            return dr.select(active, self._walk(media, start, line, ray, sampler, active), 0)
+        share = mi.Spectrum(1)
+        if media:
+            location, distance = start.location(d), line.distance
+            if self.ball:
+                distance = self.ball.length(vertex.p, d, distance, media.inside(location))
+            sigma_t = media.sigma_t(location, medium_interaction(d, vertex))
+            tau = optical_depth(sigma_t, distance)
+            survival = media.ask("survival", location, start.from_particle, tau)
+            if media.tracks:
+                tracked = active & media.where("tracked", location)
+                onward = mi.Ray3f(vertex.p, d, vertex.time, vertex.wavelengths)
+                survival *= tracking.transmittance(
+                    media, location, onward, line.distance, sampler, tracked
+                )
+            share = survival if self.ball else dr.select(media.inside(location), survival, share)
+        blocked = (self.ball or self.tracer).occluded(ray, active)
+        return dr.select(active & ~blocked, share, 0)
+
+    def _walk(
         self,
         media: Media | None,
-        vertex: mi.Interaction3f,
+        start: Start,
         line: Line,
-        location: Callable[[Any], Any],
-        from_particle: Any,
+        ray: mi.Ray3f,
         sampler: mi.Sampler,
         active: Any,
     ) -> Any:
-        """Share of light that arrives at ``vertex`` along a line: 0 if that is blocked."""
-        ray = self.offset.segment(vertex, line.p)
-        if self.needs.null_surfaces and not self.ball:
-            share = _walk(self, media, vertex, line, ray, location, from_particle, sampler, active)
-            return dr.select(active, share, 0)
-        share = mi.Spectrum(1)
-        if media:
-            start, distance = location(line.d), line.distance
-            if self.ball:
-                distance = self.ball.length(vertex.p, line.d, distance, media.inside(start))
-            tau = optical_depth(media.sigma_t(start, medium_interaction(line.d, vertex)), distance)
-            survival = media.survival(start, from_particle, tau)
-            if media.tracks:
-                tracked = active & media.tracked(start)
-                onward = mi.Ray3f(vertex.p, line.d, vertex.time, vertex.wavelengths)
-                survival *= tracking.transmittance(
-                    media, start, onward, line.distance, sampler, tracked
+        """Transmittance along ``ray`` to the end of a line, past any number of surfaces that let
+        light straight through.
+
+        Within one medium optical depths add up across such surfaces, and the law is evaluated once,
+        where the ray leaves that medium. A ray that runs along a surface, or begins on the one that
+        its target lies on, is moved on by steps that double, and ends at the latest behind its
+        target: the number of steps is bounded by the distance over the offset of rays.
+        """
+        vertex, d = start.vertex, line.d
+
+        def remaining(s: _Ray) -> Any:
+            distance = dr.dot(line.p - s.start, d)
+            if not self.needs.infinite_emitters:
+                return distance
+            return dr.select(dr.isinf(line.distance), dr.inf, distance)
+
+        def body(sampler: mi.Sampler, s: _Ray) -> tuple[mi.Sampler, _Ray]:
+            si, contact = self.tracer.hit(s.ray, False, s.active)
+            hit = s.active & si.is_valid()
+            through = self.through(si, hit)
+            s.transmittance = dr.select(hit, s.transmittance * through, s.transmittance)
+            if media:
+                # Rounding may put a surface before the one left behind.
+                length = dr.maximum(dr.select(hit, dr.dot(si.p - s.start, d), remaining(s)), 0)
+                inside = s.active & media.inside(s.location)
+                sigma_t = media.sigma_t(s.location, medium_interaction(d, vertex))
+                tau = optical_depth(sigma_t, length)
+                s.tau = type(s.tau)(dr.select(inside, s.tau + tau, s.tau))
+                if media.tracks:
+                    tracked = inside & media.where("tracked", s.location)
+                    onward = mi.Ray3f(s.start, d, vertex.time, vertex.wavelengths)
+                    s.transmittance *= tracking.transmittance(
+                        media, s.location, onward, length, sampler, tracked
+                    )
+                beyond = media.behind(si, hit, s.location, s.ray.d, contact)
+                left = beyond != s.location
+                survival = media.ask("survival", s.location, s.from_particle, s.tau)
+                s.transmittance = dr.select(
+                    left & inside, s.transmittance * survival, s.transmittance
                 )
-            share = survival if self.ball else dr.select(media.inside(start), survival, share)
-        blocked = (self.ball or self.tracer).occluded(ray, active)
-        return dr.select(active & ~blocked, share, 0)
+                s.tau = type(s.tau)(dr.select(left, 0, s.tau))
+                s.from_particle &= ~left
+                s.location = beyond
+                s.start = si.p
+            left = dr.dot(line.p - si.p, d)
+            stuck = s.left - left < self.offset.limit
+            s.nudge = dr.select(stuck, dr.fma(2, s.nudge, self.offset.limit / 16), 0)
+            s.left = left
+            s.ray = self.offset.segment(si, line.p)
+            s.ray.o = dr.fma(d, s.nudge, s.ray.o)
+            s.ray.maxt -= s.nudge
+            s.active = hit & dr.any(s.transmittance != 0) & (s.ray.maxt > 0)
+            s.active &= dr.dot(line.p - s.ray.o, d) > 0
+            return sampler, s
+
+        state = _Ray(
+            ray=ray,
+            start=mi.Point3f(vertex.p) if media else None,
+            location=start.location(d) if media else None,
+            tau=mi.UnpolarizedSpectrum(0) if media and media.chromatic else mi.Float(0),
+            from_particle=mi.Bool(start.from_particle),
+            transmittance=mi.Spectrum(1),
+            left=dr.dot(line.p - vertex.p, d),
+            nudge=mi.Float(0),
+            active=mi.Bool(active),
+        )
+        _, end = dr.while_loop(
+            (sampler, state), lambda sampler, s: s.active, body, label="nonexp: shadow ray"
+        )
+        if not media:
+            return end.transmittance
+        survival = media.ask("survival", end.location, end.from_particle, end.tau)
+        return dr.select(
+            media.inside(end.location), end.transmittance * survival, end.transmittance
+        )
 
 
 def power_heuristic(a: Any, b: Any) -> Any:
     """Weight of a sample of density ``a`` that another technique finds with density ``b``."""
     weight = dr.square(a) / (dr.square(a) + dr.square(b))
     return dr.select(dr.isfinite(weight), weight, 0)
-
-
-def optical_depth(sigma_t: Any, distance: Any) -> Any:
-    """``sigma_t * distance``; none where a channel's extinction is zero, however far."""
-    tau = sigma_t * distance
-    return tau if dr.depth_v(tau) == 1 else dr.select(sigma_t > 0, tau, 0)
-
-
-def _walk(
-    connections: Connections,
-    media: Media | None,
-    vertex: mi.Interaction3f,
-    line: Line,
-    ray: mi.Ray3f,
-    location: Any,
-    from_particle: Any,
-    sampler: mi.Sampler,
-    active: Any,
-) -> Any:
-    """Transmittance to ``line.p`` past any number of surfaces that let light straight through.
-
-    Within one medium optical depths add up across such surfaces, and the law is evaluated once,
-    where the ray leaves that medium.
-    """
-
-    offset, d = connections.offset, line.d
-
-    def remaining(s: _Ray) -> Any:
-        distance = dr.dot(line.p - s.start, d)
-        if not connections.needs.infinite_emitters:
-            return distance
-        return dr.select(dr.isinf(line.distance), dr.inf, distance)
-
-    def body(sampler: mi.Sampler, s: _Ray) -> tuple[mi.Sampler, _Ray]:
-        si = connections.tracer.intersect(s.ray, False, s.active)
-        hit = s.active & si.is_valid()
-        through = si.bsdf().eval_null_transmission(si, hit)
-        s.transmittance = dr.select(hit, s.transmittance * through, s.transmittance)
-        if media:
-            # Rounding may put a surface before the one left behind.
-            length = dr.maximum(dr.select(hit, dr.dot(si.p - s.start, d), remaining(s)), 0)
-            inside = s.active & media.inside(s.location)
-            tau = optical_depth(media.sigma_t(s.location, medium_interaction(d, vertex)), length)
-            s.tau = type(s.tau)(dr.select(inside, s.tau + tau, s.tau))
-            if media.tracks:
-                tracked = inside & media.tracked(s.location)
-                onward = mi.Ray3f(s.start, d, vertex.time, vertex.wavelengths)
-                s.transmittance *= tracking.transmittance(
-                    media, s.location, onward, length, sampler, tracked
-                )
-            beyond = media.behind(si, hit, s.location, s.ray.d)
-            left = beyond != s.location
-            survival = media.survival(s.location, s.from_particle, s.tau)
-            s.transmittance = dr.select(left & inside, s.transmittance * survival, s.transmittance)
-            s.tau = type(s.tau)(dr.select(left, 0, s.tau))
-            s.from_particle &= ~left
-            s.location = beyond
-            s.start = si.p
-        s.ray = offset.segment(si, line.p)
-        s.active = hit & dr.any(s.transmittance != 0)
-        return sampler, s
-
-    start = location(d) if media else None
-    state = _Ray(
-        ray=ray,
-        start=mi.Point3f(vertex.p) if media else None,
-        location=start,
-        tau=mi.UnpolarizedSpectrum(0) if media and media.chromatic else mi.Float(0),
-        from_particle=mi.Bool(from_particle),
-        transmittance=mi.Spectrum(1),
-        active=mi.Bool(active),
-    )
-    _, end = dr.while_loop(
-        (sampler, state), lambda sampler, s: s.active, body, label="nonexp: shadow ray"
-    )
-    if not media:
-        return end.transmittance
-    survival = media.survival(end.location, end.from_particle, end.tau)
-    return dr.select(media.inside(end.location), end.transmittance * survival, end.transmittance)

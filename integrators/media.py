@@ -3,30 +3,308 @@
 Which medium a path is in is a *location*: nothing in a scene without media, a mask in a scene with
 one, an index (0: none) in a scene with several. The loop treats it as a value to carry, compare
 and pass back. Extinctions are numbers, or spectra as soon as one medium of the scene is chromatic.
+
+What a flight needs to know of a medium is a method of :class:`Entry`; ``media.ask("survival",
+location, ...)`` calls it for the medium at a location.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
-from nonexp.transmittance.choice import replayed
+from nonexp import models
+from nonexp.plugins.spectra import grey, somewhere, visible
+from nonexp.transmittance import Draw, Transmittance
 
-from .entries import Entry, Scatter, Tracked, entry_of
-from .jit import Numbering
-from .scene_needs import SceneNeeds
-
-__all__ = ["Media", "Scatter", "scene_media"]
+from .jit import Numbering, opaque, recording
+from .rays import Contact
 
 
-def scene_media(needs: SceneNeeds) -> Media | None:
-    """The scene's media in which anything can collide; None if there is none."""
-    pointers = needs.media
-    found = (entry_of(pointer, sealed=pointer in needs.sealed) for pointer in pointers)
+def medium_interaction(
+    direction: Any, like: Any, p: Any = None, t: Any = None
+) -> mi.MediumInteraction3f:
+    """A ray in ``direction``, with the time and wavelengths of ``like``, and a point on it."""
+    mei = dr.zeros(mi.MediumInteraction3f)
+    mei.wi, mei.time, mei.wavelengths = -direction, like.time, like.wavelengths
+    mei.sh_frame = mi.Frame3f(mei.wi)
+    if p is not None:
+        mei.p = p
+    if t is not None:
+        mei.t = t
+    return mei
+
+
+def optical_depth(sigma_t: Any, distance: Any) -> Any:
+    """``sigma_t * distance``; none where a channel's extinction is zero, however far."""
+    tau = sigma_t * distance
+    return tau if dr.depth_v(tau) == 1 else dr.select(sigma_t > 0, tau, 0)
+
+
+# --------------------------------------------------------------------- one medium
+
+
+@dataclass
+class Scatter:
+    """Phase function at a collision, evaluated and sampled, with the medium's albedo."""
+
+    albedo: Any
+    value: Any
+    pdf: Any
+    wo: Any
+    weight: Any
+    wo_pdf: Any
+
+
+@dataclass(frozen=True)
+class Entry(ABC):
+    """One medium of a scene. ``active``, last in all methods, is the mask of an indirect call."""
+
+    pointer: Any
+    """the medium in Mitsuba"""
+    model: Transmittance
+    """its law"""
+    extinction: Callable[[Any], Any]
+    """extinction per scene unit at a medium interaction: a number, a spectrum if chromatic"""
+    albedo: Callable[..., Any]
+    """albedo at a medium interaction"""
+    sealed: bool
+    """no straight line from it reaches an emitter"""
+    chromatic: bool
+    """extinction differs between channels or wavelengths"""
+    constant: bool
+    """extinction depends neither on direction nor on wavelengths that differ from path to path"""
+
+    @property
+    def tracked(self) -> bool:
+        """Flights are tracked step by step."""
+        return isinstance(self, Tracked)
+
+    @property
+    def samples(self) -> bool:
+        """Collisions use next-event estimation, where it can succeed."""
+        return bool(self.pointer.use_emitter_sampling())
+
+    @property
+    def connects(self) -> bool:
+        """A straight connection from a collision can succeed, and is wanted."""
+        return self.samples and not self.sealed
+
+    @property
+    @abstractmethod
+    def draws(self) -> int:
+        """How many random numbers a flight takes at most."""
+
+    @abstractmethod
+    def flight(self, from_particle: Any, numbers: Sequence[Any], active: Any) -> Any:
+        """Optical depth of the next collision, infinite if tracked, from random ``numbers``."""
+
+    @abstractmethod
+    def survival(self, from_particle: Any, tau: Any, active: Any) -> Any:
+        """Transmittance over ``tau``, a number or a spectrum: pf from a particle, ff from a fixed
+        point; 1 if tracked."""
+
+    @abstractmethod
+    def densities(
+        self, from_particle: Any, collided: Any, tau: Any, own: Any, drawn: Any, active: Any
+    ) -> Any:
+        """Spectrum of the densities of a flight, one per channel as if it had drawn the flight.
+
+        ``tau``: optical depth of each channel; ``own``: extinction of each channel relative to the
+        one that drew it; ``drawn``: its optical depth, if it ``collided``.
+        """
+
+    @abstractmethod
+    def bounds(self, ray: Any, active: Any) -> tuple[Any, Any, Any]:
+        """If tracked: distances at which a ray enters and leaves the data, and the majorant of
+        extinction."""
+
+    @abstractmethod
+    def coefficients(self, mei: Any, active: Any) -> tuple[Any, Any]:
+        """If tracked: coefficients of null collisions and of extinction."""
+
+    def scatter(self, mei: Any, wo: Any, u1: Any, u2: Any, active: Any) -> Scatter:
+        """Phase function towards ``wo`` and a sampled direction, at collisions ``mei``."""
+        context, phase = mi.PhaseFunctionContext(None), self.pointer.phase_function()
+        value, pdf = phase.eval_pdf(context, mei, wo, active)
+        sampled, weight, sampled_pdf = phase.sample(context, mei, u1, u2, active)
+        return Scatter(self.albedo(mei, active), value, pdf, sampled, weight, sampled_pdf)
+
+
+class Homogeneous(Entry):
+    """A medium of constant density, with any law."""
+
+    @property
+    def draws(self) -> int:
+        return max(_count_draws(self.model.sample_p), _count_draws(self.model.sample_f))
+
+    def flight(self, from_particle: Any, numbers: Sequence[Any], active: Any) -> Any:
+        # A lane uses only one of the two laws: both take the same numbers.
+        p = self.model.sample_p(iter(numbers).__next__)
+        f = self.model.sample_f(iter(numbers).__next__)
+        return dr.select(from_particle, mi.Float(p), mi.Float(f))
+
+    def survival(self, from_particle: Any, tau: Any, active: Any) -> Any:
+        def of(tau: Any) -> Any:
+            return dr.select(from_particle, self.model.pf(tau), self.model.ff(tau))
+
+        return of(tau) if dr.depth_v(tau) == 1 else mi.UnpolarizedSpectrum([of(t) for t in tau])
+
+    def densities(
+        self, from_particle: Any, collided: Any, tau: Any, own: Any, drawn: Any, active: Any
+    ) -> Any:
+        model = self.model
+        atom = mi.Bool(False)
+        for where, probability in model.atoms:
+            # Samplers return an atom as it is, and reach its value otherwise with chance zero.
+            atom |= (drawn == where) & (mi.Float(probability) > 0)
+        atom &= from_particle & collided
+
+        def of(tau: Any, own: Any) -> Any:
+            density = own * dr.select(from_particle, model.pp(tau), model.fp(tau))
+            density = dr.select(atom, dr.select(own == 1, mi.Float(1), 0), density)
+            return dr.select(collided, density, self.survival(from_particle, tau, active))
+
+        return mi.UnpolarizedSpectrum([of(t, o) for t, o in zip(tau, own, strict=True)])
+
+    def bounds(self, ray: Any, active: Any) -> tuple[Any, Any, Any]:
+        return mi.Float(0), mi.Float(-1), mi.Float(1)
+
+    def coefficients(self, mei: Any, active: Any) -> tuple[Any, Any]:
+        return mi.UnpolarizedSpectrum(0), mi.UnpolarizedSpectrum(0)
+
+
+@dataclass(frozen=True)
+class Tracked(Entry):
+    """A heterogeneous medium of Mitsuba's own: exponential, tracked with null collisions.
+
+    Its ``extinction`` is 1 everywhere, its flights do not end, nothing is lost on its shadow
+    rays: all that is done by :mod:`.tracking`, on :meth:`bounds` and :meth:`coefficients`.
+    """
+
+    draws = 0
+
+    def flight(self, from_particle: Any, numbers: Sequence[Any], active: Any) -> Any:
+        return mi.Float(dr.inf)
+
+    def survival(self, from_particle: Any, tau: Any, active: Any) -> Any:
+        return type(tau)(1)
+
+    def densities(
+        self, from_particle: Any, collided: Any, tau: Any, own: Any, drawn: Any, active: Any
+    ) -> Any:
+        return mi.UnpolarizedSpectrum(1)
+
+    majorant: Any
+    """upper bound of the extinction, in all channels: Mitsuba's own is not always one"""
+
+    def bounds(self, ray: Any, active: Any) -> tuple[Any, Any, Any]:
+        hits, near, far = self.pointer.intersect_aabb(ray)
+        return dr.maximum(near, 0), dr.select(hits, far, -1), self.majorant
+
+    def coefficients(self, mei: Any, active: Any) -> tuple[Any, Any]:
+        _, _, sigma_t = self.pointer.get_scattering_coefficients(mei, active)
+        return dr.maximum(self.majorant - sigma_t, 0), sigma_t
+
+
+def entry_of(pointer: Any, sealed: bool) -> Entry | None:
+    """The entry of a medium; None where nothing ever collides."""
+    model = getattr(pointer, "model", None)
+    if model is not None:
+        if isinstance(model.sigma_bar, float) and model.sigma_bar == 0:
+            return None
+        chromatic, oriented = pointer.chromatic, pointer.oriented
+        extinction, albedo = pointer.extinction, pointer.eval_albedo
+    else:
+        model, albedo = models.create("exponential"), partial(_stock_albedo, pointer)
+        if not pointer.is_homogeneous():
+            return _tracked(pointer, model, albedo, sealed)
+        oriented = bool(
+            mi.has_flag(pointer.phase_function().flags(), mi.PhaseFunctionFlags.Microflake)
+        )
+        chromatic = not grey(np.array(dr.detach(_majorant_of(pointer, visible()))))
+        extinction = partial(_stock_extinction, pointer, chromatic)
+    constant = not oriented and not (chromatic and mi.is_spectral)
+    if constant:
+        value = extinction(somewhere())
+        if _vanishes(value):
+            return None
+        dr.make_opaque(value)
+        extinction = partial(_always, value)
+    return Homogeneous(pointer, model, extinction, albedo, sealed, chromatic, constant)
+
+
+def _tracked(pointer: Any, model: Transmittance, albedo: Any, sealed: bool) -> Entry | None:
+    majorant = pointer.get_majorant(somewhere())[0]
+    if _vanishes(majorant):
+        return None
+    parameters = mi.traverse(pointer)
+    if "sigma_t.data" in parameters:
+        chromatic = np.shape(parameters["sigma_t.data"])[-1] > 1
+    else:
+        values = np.array(dr.detach(pointer.get_scattering_coefficients(visible())[2]))
+        chromatic = not grey(values)
+        if not recording():
+            # In spectral variants Mitsuba takes the mean of a spectrum made of a colour for its
+            # maximum. Between the wavelengths looked at it may be a little higher.
+            most = float(values.max()) * (1.01 if chromatic and mi.is_spectral else 1)
+            majorant = opaque(mi.Float, max(most, float(dr.detach(majorant)[0])))
+    unit = partial(_always, mi.Float(1))
+    return Tracked(pointer, model, unit, albedo, sealed, chromatic, True, majorant)
+
+
+def _count_draws(sample: Callable[[Draw], Any]) -> int:
+    count = 0
+
+    def draw() -> Any:
+        nonlocal count
+        count += 1
+        return mi.Float(0.5)
+
+    sample(draw)
+    return count
+
+
+def _vanishes(extinction: Any) -> bool:
+    """While a function is being frozen nothing can be read: then zero goes through the loop."""
+    return not recording() and bool(dr.all(dr.detach(extinction) == 0, axis=None))
+
+
+def _always(value: Any, _mei: Any) -> Any:
+    return value
+
+
+def _majorant_of(medium: Any, mei: Any) -> Any:
+    mei.wi = mi.Vector3f(0, 0, 1)
+    return medium.get_majorant(mei)
+
+
+def _stock_extinction(medium: Any, chromatic: bool, mei: Any) -> Any:
+    sigma_t = medium.get_majorant(mei)
+    return sigma_t if chromatic else sigma_t[0]
+
+
+def _stock_albedo(medium: Any, mei: Any, active: Any = True) -> Any:
+    sigma_s, _, sigma_t = medium.get_scattering_coefficients(mei, active)
+    return mi.UnpolarizedSpectrum(dr.select(sigma_t > 0, sigma_s / sigma_t, 0))
+
+
+# --------------------------------------------------------------------- all media of a scene
+
+
+def scene_media(pointers: Sequence[Any], sealed: Sequence[Any]) -> Media | None:
+    """Those of some media in which anything can collide; None if there is none.
+
+    No straight line from the ``sealed`` ones reaches an emitter.
+    """
+    found = (entry_of(pointer, sealed=pointer in sealed) for pointer in pointers)
     entries = [entry for entry in found if entry is not None]
     if not entries:
         return None
@@ -40,140 +318,137 @@ class Media(ABC):
 
     def __init__(self, entries: Sequence[Entry]) -> None:
         self.entries = tuple(entries)
-        """The media themselves."""
-        self.connects = any(entry.connects for entry in entries)
+        self.connects = self.any("connects")
         """Collisions in some medium use next-event estimation."""
-        self.samples = any(entry.samples for entry in entries)
-        """Likewise, were nothing sealed."""
-        self.some_sealed = any(entry.sealed for entry in entries)
-        """No connection from some medium can succeed."""
-        self.all_sealed = all(entry.sealed for entry in entries)
-        """No connection through any medium can succeed."""
-        self.chromatic = any(entry.chromatic for entry in entries)
+        self.chromatic = self.any("chromatic")
         """Extinction of some medium differs between channels or wavelengths."""
-        self.tracks = any(isinstance(entry, Tracked) for entry in entries)
-        """Some medium is heterogeneous: flights through it are tracked step by step."""
+        self.tracks = self.any("tracked")
+        """Flights through some medium are tracked step by step."""
+        self._draws = max(entry.draws for entry in entries)
 
-    def _spread(self, extinction: Any) -> Any:
-        """An extinction as this scene needs it: a number, or a spectrum."""
-        return mi.UnpolarizedSpectrum(extinction) if self.chromatic else mi.Float(extinction)
+    def any(self, fact: str) -> bool:
+        """Whether a fact, a boolean attribute of :class:`Entry`, holds for some medium."""
+        return any(getattr(entry, fact) for entry in self.entries)
+
+    def all(self, fact: str) -> bool:
+        """Whether it holds for all media."""
+        return all(getattr(entry, fact) for entry in self.entries)
+
+    # ------------------------------------------------------------- locations
 
     @abstractmethod
     def at(self, pointer: Any) -> Any:
         """Location that a ``MediumPtr`` stands for."""
 
-    def behind(self, si: Any, active: Any, location: Any, direction: Any) -> Any:
-        """Location of a ray that leaves a surface in ``direction``, having come in ``location``."""
-        crossing = active & si.is_medium_transition()
-        return dr.select(crossing, self.at(si.target_medium(direction)), location)
-
     @abstractmethod
     def inside(self, location: Any) -> Any:
         """Mask of the locations that lie in a medium."""
 
-    @abstractmethod
-    def collision_connects(self, location: Any) -> Any:
-        """Mask: collisions here use next-event estimation."""
+    def behind(
+        self, si: Any, active: Any, location: Any, direction: Any, contact: Contact | None = None
+    ) -> Any:
+        """Location of a ray that leaves a surface in ``direction``, having come in ``location``.
+
+        Where surfaces coincide, ``contact`` has all of them.
+        """
+        crossing = active & si.is_medium_transition()
+        beyond = dr.select(crossing, self.at(si.target_medium(direction)), location)
+        if contact is None:
+            return beyond
+        return dr.select(
+            active & contact.several, self._through(contact, location, direction), beyond
+        )
+
+    def _through(self, contact: Contact, location: Any, direction: Any) -> Any:
+        """Location beyond all surfaces in one place, each of which leads from one medium to
+        another: those are passed in the order in which they fit together."""
+        steps = []
+        for si, there in contact.surfaces:
+            through = dr.dot(si.n, direction) * dr.dot(si.n, contact.d) > 0
+            crossed = there & through & si.is_medium_transition()
+            before, after = (self.at(si.target_medium(d)) for d in (-direction, direction))
+            steps.append([crossed, before, after])
+        beyond, fits = location, mi.Bool(False)
+        for _ in steps:
+            for step in steps:
+                left, before, after = step
+                taken = left & (before == beyond)
+                beyond = dr.select(taken, after, beyond)
+                fits |= taken
+                step[0] = left & ~taken
+        # What began in a medium without saying so: as behind a single surface.
+        for left, _, after in reversed(steps):
+            beyond = dr.select(left & ~fits, after, beyond)
+        return beyond
+
+    def where(self, fact: str, location: Any) -> Any:
+        """Mask of the locations in media for which a fact holds."""
+        if not self.any(fact):
+            return mi.Bool(False)
+        return self.inside(location) if self.all(fact) else self._mixed(fact, location)
+
+    def holds(self, fact: str, location: Any) -> Any:
+        """Whether a fact holds at locations that lie in media; anything at others."""
+        return mi.Bool(True) if self.all(fact) else self.where(fact, location)
 
     @abstractmethod
-    def collision_samples(self, location: Any) -> Any:
-        """Mask: likewise, were nothing sealed."""
+    def _mixed(self, fact: str, location: Any) -> Any:
+        """Mask of the locations for which a fact holds that differs between media."""
+
+    # ------------------------------------------------------------- what is asked there
 
     @abstractmethod
-    def sealed(self, location: Any) -> Any:
-        """Mask: no connection from here can succeed."""
+    def _each(self, question: Callable[..., Any], location: Any, *args: Any, active: Any) -> Any:
+        """``question(entry, *args, active=...)`` for the medium at each location."""
 
-    @abstractmethod
-    def tracked(self, location: Any) -> Any:
-        """Mask: flights here are tracked step by step."""
+    def ask(self, name: str, location: Any, *args: Any, active: Any = True) -> Any:
+        """What a method of :class:`Entry` answers for the medium at each location."""
 
-    @abstractmethod
+        def question(entry: Entry, *args: Any, active: Any) -> Any:
+            return getattr(entry, name)(*args, active)
+
+        return self._each(question, location, *args, active=active)
+
     def sigma_t(self, location: Any, mei: Any) -> Any:
         """Extinction per scene unit of a ray with the direction ``-mei.wi`` (undefined outside
         media, 1 where flights are tracked)."""
 
-    @abstractmethod
+        def question(entry: Entry, mei: Any, active: Any) -> Any:
+            return self._spread(entry.extinction(mei))
+
+        return self._each(question, location, mei, active=True)
+
     def flight(self, location: Any, from_particle: Any, sampler: Any, active: Any) -> Any:
         """Optical depth of the next collision; infinite where flights are tracked."""
+        # A sampler cannot be advanced behind an indirect call: the numbers are drawn here.
+        numbers = [sampler.next_1d(active) for _ in range(self._draws)]
+        return self.ask("flight", location, from_particle, numbers, active=active)
 
-    @abstractmethod
-    def survival(self, location: Any, from_particle: Any, tau: Any) -> Any:
-        """Transmittance over ``tau``: pf from a particle, else ff; 1 where flights are tracked."""
-
-    @abstractmethod
-    def densities(
-        self, location: Any, from_particle: Any, collided: Any, tau: Any, own: Any, drawn: Any
-    ) -> Any:
-        """Spectrum of the densities of a flight, one per channel as if it had drawn the flight.
-
-        ``tau``: optical depth of each channel; ``own``: extinction of each channel relative to the
-        one that drew it; ``drawn``: its optical depth, if it ``collided``.
-        """
-
-    @abstractmethod
-    def bounds(self, location: Any, ray: Any) -> tuple[Any, Any, Any]:
-        """Where flights are tracked: distances at which a ray enters and leaves the medium's data,
-        and the majorant of extinction."""
-
-    @abstractmethod
-    def coefficients(self, location: Any, mei: Any, active: Any) -> tuple[Any, Any]:
-        """Where flights are tracked: coefficients of null collisions and of extinction."""
-
-    @abstractmethod
-    def scatter(self, location: Any, mei: Any, wo: Any, u1: Any, u2: Any, active: Any) -> Scatter:
-        """Phase function towards ``wo`` and a sampled direction, at collisions ``mei``."""
+    def _spread(self, extinction: Any) -> Any:
+        """An extinction as this scene needs it: a number, or a spectrum."""
+        return mi.UnpolarizedSpectrum(extinction) if self.chromatic else mi.Float(extinction)
 
 
 class OneMedium(Media):
-    """A scene with a single medium: its location is a mask, and its functions are called as is."""
+    """A scene with a single medium: its location is a mask, and its methods are called as is."""
 
     def __init__(self, entry: Entry, alone: bool) -> None:
         super().__init__([entry])
-        self._entry = entry
         self._alone = alone
 
     def at(self, pointer: Any) -> Any:
         if self._alone:
             return pointer != None  # noqa: E711
-        return pointer == mi.MediumPtr(self._entry.pointer)
+        return pointer == mi.MediumPtr(self.entries[0].pointer)
 
     def inside(self, location: Any) -> Any:
         return location
 
-    def collision_connects(self, location: Any) -> Any:
-        return mi.Bool(self.connects)
+    def _mixed(self, fact: str, location: Any) -> Any:
+        raise AssertionError("a single medium has no facts that differ")
 
-    def collision_samples(self, location: Any) -> Any:
-        return mi.Bool(self.samples)
-
-    def sealed(self, location: Any) -> Any:
-        return location if self.some_sealed else mi.Bool(False)
-
-    def tracked(self, location: Any) -> Any:
-        return location if self.tracks else mi.Bool(False)
-
-    def sigma_t(self, location: Any, mei: Any) -> Any:
-        return self._spread(self._entry.extinction(mei))
-
-    def flight(self, location: Any, from_particle: Any, sampler: Any, active: Any) -> Any:
-        return self._entry.flight(from_particle, replayed(lambda: sampler.next_1d(active)))
-
-    def survival(self, location: Any, from_particle: Any, tau: Any) -> Any:
-        return self._entry.survival(from_particle, tau)
-
-    def densities(
-        self, location: Any, from_particle: Any, collided: Any, tau: Any, own: Any, drawn: Any
-    ) -> Any:
-        return self._entry.densities(from_particle, collided, tau, own, drawn)
-
-    def bounds(self, location: Any, ray: Any) -> tuple[Any, Any, Any]:
-        return self._entry.bounds(ray)
-
-    def coefficients(self, location: Any, mei: Any, active: Any) -> tuple[Any, Any]:
-        return self._entry.coefficients(mei, active)
-
-    def scatter(self, location: Any, mei: Any, wo: Any, u1: Any, u2: Any, active: Any) -> Scatter:
-        return self._entry.scatter(mei, wo, u1, u2, active)
+    def _each(self, question: Callable[..., Any], location: Any, *args: Any, active: Any) -> Any:
+        return question(self.entries[0], *args, active=active)
 
 
 class ManyMedia(Media):
@@ -184,16 +459,15 @@ class ManyMedia(Media):
 
     def __init__(self, entries: Sequence[Entry]) -> None:
         super().__init__(entries)
-        self._mixed = any(entry.connects != self.connects for entry in entries)
-        self._constant = all(entry.constant for entry in entries)
-        if self._constant:
-            self._sigma_t = self._gathered([self._spread(e.extinction(None)) for e in entries])
-        self._draws = max(_count_draws(entry) for entry in entries)
         self._numbering = Numbering([mi.MediumPtr(entry.pointer) for entry in entries])
-        self._connects = mi.Bool([entry.connects for entry in entries])
-        self._samples = mi.Bool([entry.samples for entry in entries])
-        self._sealed = mi.Bool([entry.sealed for entry in entries])
-        self._tracked = mi.Bool([isinstance(entry, Tracked) for entry in entries])
+        self._sigma_t = self._extinctions() if self.all("constant") else None
+
+    def _extinctions(self) -> Any:
+        values = [self._spread(entry.extinction(None)) for entry in self.entries]
+        if not self.chromatic:
+            return dr.concat(values)
+        parts = zip(*values, strict=True)
+        return mi.UnpolarizedSpectrum([dr.concat(list(part)) for part in parts])
 
     def at(self, pointer: Any) -> Any:
         return self._numbering.of(mi.MediumPtr(pointer))
@@ -201,112 +475,18 @@ class ManyMedia(Media):
     def inside(self, location: Any) -> Any:
         return location != 0
 
-    def collision_connects(self, location: Any) -> Any:
-        if not self._mixed:
-            return mi.Bool(self.connects)
-        return dr.gather(mi.Bool, self._connects, location - 1, location != 0)
-
-    def collision_samples(self, location: Any) -> Any:
-        return dr.gather(mi.Bool, self._samples, location - 1, location != 0)
-
-    def sealed(self, location: Any) -> Any:
-        return dr.gather(mi.Bool, self._sealed, location - 1, location != 0)
-
-    def tracked(self, location: Any) -> Any:
-        return dr.gather(mi.Bool, self._tracked, location - 1, location != 0)
-
     def sigma_t(self, location: Any, mei: Any) -> Any:
-        if self._constant:
-            return dr.gather(type(self._sigma_t), self._sigma_t, location - 1, location != 0)
+        if self._sigma_t is None:
+            return super().sigma_t(location, mei)
+        return self._gathered(self._sigma_t, location)
 
-        def call(entry: Entry) -> Callable[..., Any]:
-            return lambda mei, active: self._spread(entry.extinction(mei))
+    def _mixed(self, fact: str, location: Any) -> Any:
+        facts = mi.Bool([getattr(entry, fact) for entry in self.entries])
+        return self._gathered(facts, location)
 
-        return self._switch(location, call, True, mei)
+    def _gathered(self, values: Any, location: Any) -> Any:
+        return dr.gather(type(values), values, location - 1, location != 0)
 
-    def flight(self, location: Any, from_particle: Any, sampler: Any, active: Any) -> Any:
-        # A sampler cannot be advanced behind an indirect call: draw the numbers here.
-        numbers = [sampler.next_1d(active) for _ in range(self._draws)]
-
-        def call(entry: Entry) -> Callable[..., Any]:
-            def flight(from_particle: Any, numbers: list[Any], active: Any) -> Any:
-                return entry.flight(from_particle, lambda: iter(numbers).__next__)
-
-            return flight
-
-        return self._switch(location, call, active, from_particle, numbers)
-
-    def survival(self, location: Any, from_particle: Any, tau: Any) -> Any:
-        def call(entry: Entry) -> Callable[..., Any]:
-            def survival(from_particle: Any, tau: Any, active: Any) -> Any:
-                return entry.survival(from_particle, tau)
-
-            return survival
-
-        return self._switch(location, call, True, from_particle, tau)
-
-    def densities(
-        self, location: Any, from_particle: Any, collided: Any, tau: Any, own: Any, drawn: Any
-    ) -> Any:
-        def call(entry: Entry) -> Callable[..., Any]:
-            def densities(
-                from_particle: Any, collided: Any, tau: Any, own: Any, drawn: Any, active: Any
-            ) -> Any:
-                return entry.densities(from_particle, collided, tau, own, drawn)
-
-            return densities
-
-        return self._switch(location, call, True, from_particle, collided, tau, own, drawn)
-
-    def bounds(self, location: Any, ray: Any) -> tuple[Any, Any, Any]:
-        def call(entry: Entry) -> Callable[..., Any]:
-            def bounds(ray: Any, active: Any) -> Any:
-                return entry.bounds(ray)
-
-            return bounds
-
-        found: tuple[Any, Any, Any] = self._switch(location, call, True, ray)
-        return found
-
-    def coefficients(self, location: Any, mei: Any, active: Any) -> tuple[Any, Any]:
-        def call(entry: Entry) -> Callable[..., Any]:
-            def coefficients(mei: Any, active: Any) -> Any:
-                return entry.coefficients(mei, active)
-
-            return coefficients
-
-        found: tuple[Any, Any] = self._switch(location, call, active, mei)
-        return found
-
-    def scatter(self, location: Any, mei: Any, wo: Any, u1: Any, u2: Any, active: Any) -> Scatter:
-        def call(entry: Entry) -> Callable[..., Any]:
-            def scatter(mei: Any, wo: Any, u1: Any, u2: Any, active: Any) -> Any:
-                s = entry.scatter(mei, wo, u1, u2, active)
-                return s.albedo, s.value, s.pdf, s.wo, s.weight, s.wo_pdf
-
-            return scatter
-
-        return Scatter(*self._switch(location, call, active, mei, wo, u1, u2))
-
-    def _switch(self, location: Any, call: Callable[[Entry], Any], active: Any, *args: Any) -> Any:
-        targets = [call(entry) for entry in self.entries]
+    def _each(self, question: Callable[..., Any], location: Any, *args: Any, active: Any) -> Any:
+        targets = [partial(question, entry) for entry in self.entries]
         return dr.switch(location - 1, targets, *args, active=(location != 0) & active)
-
-    def _gathered(self, extinctions: list[Any]) -> Any:
-        if not self.chromatic:
-            return dr.concat(extinctions)
-        parts = zip(*extinctions, strict=True)
-        return mi.UnpolarizedSpectrum([dr.concat(list(part)) for part in parts])
-
-
-def _count_draws(entry: Entry) -> int:
-    """How many random numbers the medium's flights take at most."""
-    count = 0
-
-    def draw() -> Any:
-        nonlocal count
-        count += 1
-        return mi.Float(0.5)
-
-    entry.flight(mi.Bool(False), replayed(draw))
-    return count

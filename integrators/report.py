@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -11,10 +12,9 @@ import numpy as np
 
 from nonexp.plugins.spectra import visible
 
-from .entries import Entry, Tracked
-from .media import Media, OneMedium, scene_media
-from .scene_needs import SceneNeeds
-from .tracer import told_apart
+from .media import Entry, Media, OneMedium, scene_media
+from .needs import SceneNeeds, forgotten_media
+from .rays import separate
 
 
 @dataclass(frozen=True)
@@ -32,12 +32,14 @@ def findings(scene: mi.Scene) -> list[Finding]:
     start = sensors[0].get_medium() if sensors else None
     wanted = getattr(scene.integrator(), "refractive_nee", "auto")
     needs = SceneNeeds.of(scene, start, wanted)
-    media = scene_media(needs)
-    spheres = [sphere.shape for sphere in told_apart(scene)[0]]
+    media = scene_media(needs.media, needs.sealed)
+    spheres = [sphere.shape for sphere in separate(scene)[0]]
     emitters = Counter(emitter.class_name() for emitter in scene.emitters())
     return [
         *_media(needs, media),
+        _cameras(scene),
         _null(needs, media, spheres),
+        _coincident(needs),
         _spheres(scene, spheres),
         Finding(
             "emitters",
@@ -77,7 +79,7 @@ def _media(needs: SceneNeeds, media: Media | None) -> list[Finding]:
 
 def _describe(entry: Entry) -> str:
     name = entry.pointer.id() or type(entry.pointer).__name__
-    if isinstance(entry, Tracked):
+    if entry.tracked:
         return f"{name}: exponential, heterogeneous"
     texture = getattr(entry.pointer, "transmittance", None)
     law = texture.to_string().removeprefix("transmittance_") if texture else "exponential"
@@ -97,6 +99,14 @@ def _medium_effect(entry: Entry) -> str:
     return "collisions connect to emitters"
 
 
+def _cameras(scene: mi.Scene) -> Finding:
+    found = [f"{_name(camera)} in {medium.id()}" for camera, medium in forgotten_media(scene)]
+    question = "sensors in a medium that they do not refer to"
+    if not found:
+        return Finding(question, "none", "")
+    return Finding(question, ", ".join(found), "warning: their rays start in vacuum")
+
+
 def _null(needs: SceneNeeds, media: Media | None, spheres: list[mi.Shape]) -> Finding:
     if needs.null_ball in spheres and not (media and media.tracks):
         answer, effect = "one sphere", "skipped: walks; flights go on behind it"
@@ -107,12 +117,26 @@ def _null(needs: SceneNeeds, media: Media | None, spheres: list[mi.Shape]) -> Fi
     return Finding("surfaces that let rays straight through", answer, effect)
 
 
+def _coincident(needs: SceneNeeds) -> Finding:
+    question = "boundaries that coincide with other surfaces"
+    pairs = [" and ".join(sorted(map(_name, pair))) for pair in needs.coincident.pairs]
+    pairs += [f"faces of {_name(mesh)}" for mesh, _ in needs.coincident.doubled]
+    if not pairs:
+        return Finding(question, "none", "skipped: looks for all surfaces in one place")
+    shown = ", ".join(pairs[:4]) + (f" and {len(pairs) - 4} more" if len(pairs) > 4 else "")
+    return Finding(question, shown, "rays look for all surfaces in one place")
+
+
+def _name(thing: Any) -> str:
+    return str(thing.id() or thing.class_name())
+
+
 def _spheres(scene: mi.Scene, spheres: list[mi.Shape]) -> Finding:
     count = sum(shape.class_name() == "Sphere" for shape in scene.shapes())
     if spheres:
         answer = f"{len(spheres)} of {len(scene.shapes())} shapes"
-        return Finding("spheres", answer, "met in closed form, before all other shapes")
-    return Finding("spheres", f"{count}" if count else "none", "skipped: spheres in closed form")
+        return Finding("spheres", answer, "intersected analytically, before all other shapes")
+    return Finding("spheres", f"{count}" if count else "none", "skipped: analytic spheres")
 
 
 def _emitters(needs: SceneNeeds) -> str:
@@ -120,7 +144,7 @@ def _emitters(needs: SceneNeeds) -> str:
     if not needs.emitters:
         return "skipped: connections, emission"
     if not needs.hittable_emitters:
-        skipped.append("emission met by rays")
+        skipped.append("emission hit by rays")
     if not needs.delta_emitters:
         skipped.append("points and directions")
     if not needs.infinite_emitters:
@@ -139,14 +163,14 @@ def _connections(needs: SceneNeeds, media: Media | None) -> Finding:
     return Finding(
         "connections to emitters",
         f"from {' and '.join(ends)}",
-        "skipped: media on shadow rays" if media and media.all_sealed else "shadow rays",
+        "skipped: media on shadow rays" if media and media.all("sealed") else "shadow rays",
     )
 
 
 def _glass(scene: mi.Scene, needs: SceneNeeds, wanted: str) -> Finding:
     question = "connections through smooth glass"
     if needs.lobes:
-        names = ", ".join(shape.id() or shape.class_name() for shape in needs.lobes)
+        names = ", ".join(_name(shape) for shape in needs.lobes)
         return Finding(question, f"out of {names}", "a search for the way, media on it")
     skipped = "skipped: the search for a way through the surface"
     if wanted == "off":

@@ -15,6 +15,9 @@ def eval_pdf_sample(bsdf: Any, si: Any, wo: Any, u1: Any, u2: Any, active: Any) 
     The answers are those of ``BSDF.eval_pdf_sample``, which looks a diffuse surface's reflectance
     up for each of the two directions: a texture is most of what such a surface costs.
     """
+    if not dr.flag(dr.JitFlag.SymbolicLoops):
+        # Dr.Jit 1.5 cannot take forward derivatives of a dispatched function in evaluated loops.
+        return bsdf.eval_pdf_sample(mi.BSDFContext(), si, wo, u1, u2, active)
     return dr.dispatch(bsdf, partial(_scatter, mi.BSDFContext()), si, wo, u1, u2, active)
 
 

@@ -16,8 +16,7 @@ import mitsuba as mi
 
 from nonexp.numerics import log1p
 
-from .interaction import medium_interaction
-from .media import Media
+from .media import Media, medium_interaction
 from .spectral import at_channel, balanced
 
 
@@ -44,7 +43,7 @@ def next_collision(
     mean; ``hero`` is the channel that draws it.
     """
 
-    def meet(sampler: Any, s: _Track, sigma_n: Any, sigma_t: Any, majorant: Any) -> None:
+    def collide(sampler: Any, s: _Track, sigma_n: Any, sigma_t: Any, majorant: Any) -> None:
         own = at_channel(sigma_t, hero) if media.chromatic else sigma_t[0]
         real = s.stepping & (sampler.next_1d(s.stepping) * majorant < own)
         if media.chromatic:
@@ -53,7 +52,7 @@ def next_collision(
         s.collided |= real
         s.stepping &= ~real
 
-    found = _track(media, location, ray, end, sampler, active, meet, "nonexp: delta tracking")
+    found = _track(media, location, ray, end, sampler, active, collide, "nonexp: delta tracking")
     return dr.select(found.collided, found.t, dr.inf), found.weight
 
 
@@ -62,12 +61,12 @@ def transmittance(
 ) -> Any:
     """Unbiased estimate of the transmittance along ``ray`` up to ``end``, a spectrum."""
 
-    def meet(sampler: Any, s: _Track, sigma_n: Any, sigma_t: Any, majorant: Any) -> None:
+    def collide(sampler: Any, s: _Track, sigma_n: Any, sigma_t: Any, majorant: Any) -> None:
         weight = s.weight * (sigma_n / majorant)
         s.weight = mi.UnpolarizedSpectrum(dr.select(s.stepping, weight, s.weight))
         s.stepping &= dr.any(s.weight != 0)
 
-    track = _track(media, location, ray, end, sampler, active, meet, "nonexp: ratio tracking")
+    track = _track(media, location, ray, end, sampler, active, collide, "nonexp: ratio tracking")
     return track.weight
 
 
@@ -78,22 +77,23 @@ def _track(
     end: Any,
     sampler: Any,
     active: Any,
-    meet: Callable[[Any, _Track, Any, Any, Any], None],
+    collide: Callable[[Any, _Track, Any, Any, Any], None],
     label: str,
 ) -> _Track:
     """Step along ``ray`` up to ``end``, from one tentative collision to the next.
 
-    ``meet(sampler, state, sigma_n, sigma_t, majorant)`` says what happens there.
+    ``collide(sampler, state, sigma_n, sigma_t, majorant)`` says what happens there.
     """
 
     def step(sampler: Any, s: _Track) -> tuple[Any, _Track]:
         s.t = s.t - log1p(-sampler.next_1d(s.stepping)) / majorant
         s.stepping &= s.t < far
         mei = medium_interaction(ray.d, ray, ray(s.t), s.t)
-        meet(sampler, s, *media.coefficients(location, mei, s.stepping), majorant)
+        sigma_n, sigma_t = media.ask("coefficients", location, mei, active=s.stepping)
+        collide(sampler, s, sigma_n, sigma_t, majorant)
         return sampler, s
 
-    near, far, majorant = media.bounds(location, ray)
+    near, far, majorant = media.ask("bounds", location, ray)
     far = dr.minimum(far, end)
     state = _Track(near, active & (near < far), mi.Bool(False), mi.UnpolarizedSpectrum(1))
     _, found = dr.while_loop((sampler, state), lambda sampler, s: s.stepping, step, label=label)

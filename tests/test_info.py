@@ -53,7 +53,7 @@ def test_colour_and_null_surfaces(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert found["extinction"][0] == "differs between channels"
     assert "sigma_t 1 to 3" in found["medium 1"][0]
     assert found["surfaces that let rays straight through"][0] == "one sphere"
-    assert found["emitters"] == ("PointLight", "skipped: emission met by rays, light from infinity")
+    assert found["emitters"] == ("PointLight", "skipped: emission hit by rays, light from infinity")
     assert found["connections to emitters"] == ("from collisions", "shadow rays")
 
 

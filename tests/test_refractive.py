@@ -20,10 +20,10 @@ import numpy as np
 import pytest
 from build import scene
 
-from nonexp.integrators.scene_needs import SceneNeeds
-from nonexp.integrators.subscene import Subscenes
+from nonexp.integrators.needs import SceneNeeds
+from nonexp.integrators.rays import Subscenes
 
-refractive = import_module("nonexp.integrators.refractive")
+refractive = import_module("nonexp.integrators.glass")
 
 ETA = 1.4
 
@@ -86,7 +86,7 @@ def round_ball(bsdf: Any, radius: float = 1.0, **kw: Any) -> dict[str, Any]:
 def search(**parts: Any) -> Any:
     """The search in a scene of lobes (and lights)."""
     built = scene(**{"lamp": LAMP, **parts})
-    return refractive.refraction(SceneNeeds.of(built, None, "on"), Subscenes())
+    return refractive.refraction(SceneNeeds.of(built, None, "on").lobes, Subscenes())
 
 
 # ------------------------------------------------------------------------------- the shapes
@@ -330,7 +330,7 @@ def test_index_matched_glass_bends_nothing() -> None:
         x = size * in_unit_ball(u[0])
         line = target(u[1], x, False)
         built = scene(lamp=LAMP, a=shape(glass(1.0)))
-        g = refractive.refraction(SceneNeeds.of(built, None, "on"), Subscenes())
+        g = refractive.refraction(SceneNeeds.of(built, None, "on").lobes, Subscenes())
         _, c = find(g, x, line)
         assert np.mean(np.array(c.found)) > 0.995  # a mesh's normals turn rays away at its rim
         found = np.array(c.found)
@@ -407,7 +407,7 @@ def test_connections_estimate_what_rays_find(kind: str, light: str, effort: int)
     panel = {**LAMP, "to_world": LAMP["to_world"].scale(3)}
     bulb = {"type": "sphere", "center": [0.4, 2.2, 0.3], "radius": 1.2, "emitter": LAMP["emitter"]}
     built = scene(lobe=lobe, lamp={"panel": panel, "bulb": bulb, "sky": sky()}[light])
-    g = refractive.refraction(SceneNeeds.of(built, None, "on"), Subscenes())
+    g = refractive.refraction(SceneNeeds.of(built, None, "on").lobes, Subscenes())
     count = 2**18 * effort
     scores = []
     for seed, where in enumerate(POINTS):
@@ -441,7 +441,7 @@ def test_searches_find_what_ordinary_paths_do() -> None:
         light={**LAMP, "to_world": place},
         lobe=round_ball(glass(), 0.8, center=[0, 0.81, 0]),
     )
-    g = refractive.refraction(SceneNeeds.of(built, None, "on"), Subscenes())
+    g = refractive.refraction(SceneNeeds.of(built, None, "on").lobes, Subscenes())
     count = 2**18
     u = np.random.default_rng(3).random((count, 3))
     x = centre + mi.Vector3f(0.8 * in_unit_ball(u).T)

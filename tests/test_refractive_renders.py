@@ -18,7 +18,7 @@ from measure import assert_same, passes, radiance
 from test_refractive import glass, mesh_ball, round_ball, sky
 from test_scene_needs import assert_can_be_frozen, traced
 
-from nonexp.integrators.scene_needs import SceneNeeds
+from nonexp.integrators.needs import SceneNeeds
 
 GRID = 3
 PLACE = mi.ScalarTransform4f()

@@ -18,8 +18,8 @@ from build import FURNACE, ball, box, medium, perspective, scene, stock
 from measure import radiance
 
 from nonexp import models
-from nonexp.integrators import tracer
-from nonexp.integrators.scene_needs import SceneNeeds
+from nonexp.integrators import rays
+from nonexp.integrators.needs import SceneNeeds
 
 LAMP = {
     "type": "sphere",
@@ -211,7 +211,7 @@ def assert_can_be_frozen(built: Any, right: Any, monkeypatch: pytest.MonkeyPatch
 
     Frozen functions do not tell spheres from other shapes, so that here nothing does.
     """
-    monkeypatch.setattr(tracer, "MOST_SPHERES", 0)
+    monkeypatch.setattr(rays, "MOST_SPHERES", 0)
 
     @dr.freeze
     def frozen(built: Any, seed: mi.UInt32) -> mi.TensorXf:

@@ -1,4 +1,4 @@
-"""Spheres in closed form, among other shapes: as Mitsuba finds them."""
+"""Spheres that the kernel intersects itself, among other shapes: as Mitsuba finds them."""
 
 from __future__ import annotations
 
@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 from build import ball, medium, scene
 
-from nonexp.integrators import report, tracer
-from nonexp.integrators.offset import Offset
-from nonexp.integrators.subscene import Subscenes
-from nonexp.integrators.tracer import Tracer
+from nonexp.integrators import rays as transport_rays
+from nonexp.integrators import report
+from nonexp.integrators.rays import Offset, Subscenes, Tracer
 
 T = mi.ScalarTransform4f()
 BALLS: dict[str, Any] = {
@@ -127,7 +126,7 @@ def test_only_where_it_pays(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> 
     assert spheres(**BALLS, **OTHERS) == 4
     assert spheres(**OTHERS) == 0
     with monkeypatch.context() as patch:
-        patch.setattr(tracer, "MOST_SPHERES", 3)
+        patch.setattr(transport_rays, "MOST_SPHERES", 3)
         assert spheres(**BALLS, **OTHERS) == 0
     bent = {"type": "sphere", "to_world": T.scale([1, 2, 1])}
     assert spheres(bent=bent, lamp=BALLS["lamp"]) == 1
@@ -141,7 +140,9 @@ def test_only_where_it_pays(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> 
     path.write_text("0 0 0 0.1\n0 1 0 0.1\n0 2 0 0.1\n1 3 0 0.1\n", encoding="utf-8")
     for curve in ("linearcurve", "bsplinecurve"):
         assert spheres(**BALLS, curve={"type": curve, "filename": str(path)}) == 0
-    monkeypatch.setattr(tracer, "MOST_FACES", 13)  # cube, rectangle, and a cylinder counted as one
+    monkeypatch.setattr(
+        transport_rays, "MOST_FACES", 13
+    )  # cube, rectangle, and a cylinder counted as one
     assert spheres(**BALLS, **OTHERS) == 0
 
 

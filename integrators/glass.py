@@ -18,10 +18,10 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from nonexp.system import insides
+
 from .jit import Numbering, opaque, recording
-from .scene_needs import SceneNeeds
-from .sphere import place
-from .subscene import Subscenes
+from .rays import Subscenes, place
 
 STEPS = 16
 """Most points that a search looks at."""
@@ -120,9 +120,8 @@ class _Search:
     """the search goes on"""
 
 
-def refraction(needs: SceneNeeds, subscenes: Subscenes) -> Refraction | None:
-    """The scene's smooth dielectric surfaces through which connections bend; None if none does."""
-    lobes = needs.lobes
+def refraction(lobes: tuple[Any, ...], subscenes: Subscenes) -> Refraction | None:
+    """The smooth dielectric shapes through which connections bend; None if there is none."""
     where = place(lobes[0]) if len(lobes) == 1 else None
     if where:
         return Ball(lobes[0], *where)
@@ -329,7 +328,7 @@ class Surfaces(Refraction):
         d = dr.normalize(d)
         flags = mi.RayFlags.All
         if self._others:
-            flags |= mi.RayFlags.dNSdUV
+            flags |= insides.normal_derivatives()
         si = self._scene.ray_intersect(mi.Ray3f(x, d), flags, False, active)
         dp, dn = (si.dp_du, si.dp_dv), (si.dn_du, si.dn_dv)
         if self._meshes:

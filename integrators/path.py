@@ -1,0 +1,535 @@
+"""One path through a scene, event by event: what it carries, and the sections of its loop.
+
+An event is a flight to a collision or a surface, the emission there, a connection to an emitter,
+scattering, and the next ray.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from . import tracking
+from .connection import BentRay, Connections, Hit, Link, Start
+from .media import Media, medium_interaction, optical_depth
+from .rays import Contact
+from .spectral import at_channel, balanced
+from .surface import eval_pdf_sample
+
+MOST_PASSES = 1 << 16
+"""Null surfaces that a path passes in a row, at most: whatever a scene is, its paths end."""
+
+
+@dataclass
+class Flight:
+    """What a path carries of its flight through media; parts that a scene does not need are None.
+
+    A flight goes on straight through surfaces inside one medium (*null surfaces*).
+    """
+
+    location: Any
+    """the medium that the ray runs in"""
+    from_particle: Any
+    """the flight began at a collision"""
+    offset: Any
+    """from the last event to the ray's origin, which stands off surfaces"""
+    fresh: Any
+    """the flight begins here (with null surfaces)"""
+    tau: Any
+    """optical depth left on this flight (with null surfaces)"""
+    drawn: Any
+    """optical depth of this flight in all (with null surfaces and chromatic extinction)"""
+    flown: Any
+    """distance from where this flight began to the last event (likewise)"""
+    balance: Any
+    """weight of each channel, with mean 1 (chromatic extinction)"""
+
+
+@dataclass
+class Glass:
+    """What a path carries where connections bend through glass and rays can hit emitters."""
+
+    anchor: Any
+    """last event that connected through glass"""
+    armed: Any
+    """the path comes straight from there"""
+    crossed: Any
+    """it has since left the glass, and done nothing else"""
+    seen: Any
+    """emission that the ray hits is already counted"""
+
+
+@dataclass
+class Path:
+    """What a path carries from event to event; parts that a scene does not need are None."""
+
+    active: Any
+    """still on its way"""
+    depth: Any
+    """number of scattering events so far, straight passes not counted"""
+    o: Any
+    """origin of the ray"""
+    d: Any
+    """direction of the ray"""
+    far: Any
+    """length of the ray: that of the camera's ray, then infinite"""
+    throughput: Any
+    """product of sampling weights"""
+    radiance: Any
+    """collected so far"""
+    opaque: Any
+    """the camera ray hit something: alpha of the pixel"""
+    eta: Any
+    """product of relative indices of refraction"""
+    pdf: Any
+    """solid-angle density with which the last event chose its direction"""
+    certain: Any
+    """no connection could have found what this ray finds: emission counts in full"""
+    vertex: Any
+    """position of the last event (with null surfaces)"""
+    passes: Any
+    """null surfaces passed since then (with null surfaces)"""
+    flight: Flight | None
+    glass: Glass | None
+
+
+@dataclass
+class Arrival:
+    """Where a flight ended; the parts from ``inside`` on exist only in scenes with media."""
+
+    first: Any
+    """it is that of the camera's ray"""
+    last: Any
+    """nothing that scatters here counts any more"""
+    ray: Any
+    si: Any
+    """surface that the ray hits"""
+    contact: Contact | None
+    """all surfaces there, where some coincide"""
+    bsdf: Any
+    """its BSDF"""
+    collided: Any
+    """the flight ended at a collision before"""
+    on_surface: Any
+    """or there, or at infinity"""
+    p: Any
+    """position"""
+    carried: Any
+    """throughput, with the balance of the channels"""
+    inside: Any = None
+    """the flight was in a medium"""
+    sigma_t: Any = None
+    """extinction that the flight was drawn with"""
+    tau: Any = None
+    """optical depth left at its start"""
+    gap: Any = None
+    """distance from the last event to the origin of the ray"""
+    drawn: Any = None
+    """optical depth of the flight in all (with null surfaces and chromatic extinction)"""
+    reached: Any = None
+    """distance from where the flight began to the surface (likewise)"""
+    tracked: Any = None
+    """flown by null collisions"""
+    balance: Any = None
+    """weight of each channel"""
+
+
+@dataclass
+class Emission:
+    """Emission that a ray hits."""
+
+    lit: Any
+    """there is some that counts"""
+    radiance: Any
+    hit: Hit | None
+    """as connections see it"""
+
+
+@dataclass
+class Scattering:
+    """Scattering at an event: the value towards a connection, and a new direction."""
+
+    value: Any
+    value_pdf: Any
+    d: Any
+    pdf: Any
+    weight: Any
+    bs: Any
+    """the BSDF's sample"""
+    passed: Any
+    """straight through a surface"""
+    certain: Any
+    """no connection could have found the new direction"""
+
+
+@dataclass(frozen=True)
+class Events:
+    """The sections of the loop, in one scene and one call of the integrator."""
+
+    options: Any
+    """the integrator: ``max_depth``, ``rr_depth``, ``hide_emitters``, ``skip_area_emitters``"""
+    nee: Connections
+    """with the scene, its needs, media, glass and rays"""
+    connects: bool
+    """something connects to emitters"""
+    hero: Any
+    """channel that draws all flights (chromatic extinction)"""
+    time: Any
+    wavelengths: Any
+
+    @property
+    def media(self) -> Media | None:
+        return self.nee.media
+
+    @property
+    def null(self) -> bool:
+        """Rays pass straight through some surface."""
+        return self.nee.needs.null_surfaces
+
+    @property
+    def chromatic(self) -> bool:
+        return self.hero is not None
+
+    @property
+    def bent_hits(self) -> bool:
+        """Rays can hit emitters to which connections bend."""
+        return bool(self.nee.glass and self.nee.needs.hittable_emitters)
+
+    def begin(self, ray: Any, medium: Any, active: Any) -> Path:
+        """The path at the sensor."""
+        media, null, chromatic = self.media, self.null, self.chromatic
+        flight = glass = None
+        if media:
+            flight = Flight(
+                location=media.at(mi.MediumPtr(medium)),
+                from_particle=mi.Bool(False),
+                offset=mi.Vector3f(0),
+                fresh=mi.Bool(True) if null else None,
+                tau=mi.Float(0) if null else None,
+                drawn=mi.Float(0) if null and chromatic else None,
+                flown=mi.Float(0) if null and chromatic else None,
+                balance=mi.UnpolarizedSpectrum(1) if chromatic else None,
+            )
+        if self.bent_hits:
+            glass = Glass(mi.Point3f(0), mi.Bool(False), mi.Bool(False), mi.Bool(False))
+        environment = self.nee.scene.environment() is not None
+        return Path(
+            active=mi.Bool(active) & (self.options.max_depth > 0),
+            depth=mi.UInt32(0),
+            o=mi.Point3f(ray.o),
+            d=mi.Vector3f(ray.d),
+            far=mi.Float(ray.maxt),
+            throughput=mi.Spectrum(1),
+            radiance=mi.Spectrum(0),
+            opaque=mi.Bool(environment and not self.options.hide_emitters),
+            eta=mi.Float(1),
+            pdf=mi.Float(0),
+            certain=mi.Bool(True),
+            vertex=mi.Point3f(ray.o) if null else None,
+            passes=mi.UInt32(0) if null else None,
+            flight=flight,
+            glass=glass,
+        )
+
+    def event(self, sampler: mi.Sampler, s: Path) -> tuple[mi.Sampler, Path]:
+        """The body of the loop."""
+        a = self.fly(sampler, s)
+        emission = self.emission(s, a)
+        a.on_surface &= a.si.is_valid()
+        n = dr.select(a.collided, 0, a.si.n) if self.media else a.si.n
+        vertex = mi.Interaction3f(0, self.time, self.wavelengths, a.p, n)
+        link, in_glass = None, mi.Bool(False)
+        weight = emission.hit.weight if emission and emission.hit else None
+        if self.connects:
+            connecting, in_glass = self.connecting(s, a, emission)
+            hit = emission.hit if emission else None
+            link, weight = self.nee.aim(vertex, sampler, connecting, in_glass, hit)
+        if emission:
+            emitted = emission.radiance if weight is None else emission.radiance * weight
+            s.radiance = dr.select(emission.lit, dr.fma(a.carried, emitted, s.radiance), s.radiance)
+        scattering = self.scatter(sampler, s, a, link.wo if link else mi.Vector3f(0, 0, 1))
+        if link:
+            light = self.arriving(sampler, s, a, vertex, link, scattering)
+            s.radiance = dr.select(link.active, s.radiance + light, s.radiance)
+        self.advance(sampler, s, a, vertex, scattering, in_glass)
+        return sampler, s
+
+    # ------------------------------------------------------------- flight to the next event
+
+    def fly(self, sampler: mi.Sampler, s: Path) -> Arrival:
+        """Draw a flight, and find where it ends."""
+        media, flight = self.media, s.flight
+        first, last = s.depth == 0, s.depth + 1 >= self.options.max_depth
+        ray = mi.Ray3f(s.o, s.d, s.far, self.time, self.wavelengths)
+        if not (media and flight):
+            si, contact = self._intersect(ray, first, s.active)
+            surface = first, last, ray, si, contact, si.bsdf()
+            return Arrival(*surface, mi.Bool(False), s.active, si.p, s.throughput)
+
+        location = flight.location
+        inside = s.active & media.inside(location)
+        extinction = media.sigma_t(location, medium_interaction(s.d, ray))
+        sigma_t = at_channel(extinction, self.hero) if self.chromatic else extinction
+        tau = drawn = media.flight(location, flight.from_particle, sampler, inside)
+        if self.null:
+            drawn = dr.select(flight.fresh, tau, flight.drawn) if self.chromatic else None
+            tau = dr.select(flight.fresh, tau, flight.tau)
+        gap = dr.dot(flight.offset, s.d)
+        travelled = tau / sigma_t  # from the last event, not from the ray's origin
+        t_collision = travelled - gap
+        ray.maxt = dr.select(inside, dr.minimum(t_collision, s.far), s.far)
+        si, contact = self._intersect(ray, first, s.active)
+        tracked = tracked_balance = None
+        if media.tracks:
+            tracked = inside & media.holds("tracked", location)
+            found, tracked_balance = tracking.next_collision(
+                media, location, ray, dr.minimum(si.t, s.far), self.hero, sampler, tracked
+            )
+            t_collision = dr.select(tracked, found, t_collision)
+            travelled = dr.select(tracked, found + gap, travelled)
+        # A tie of collision and surface is a collision; what never ends sees infinity.
+        collided = inside & (t_collision <= si.t) & (t_collision <= s.far)
+        p = dr.select(collided, _collision(s, flight, travelled, gap), si.p)
+        surface = first, last, ray, si, contact, si.bsdf()
+        a = Arrival(*surface, collided, s.active & ~collided, p, s.throughput)
+        a.inside, a.sigma_t, a.tau, a.gap, a.drawn, a.tracked = (
+            inside, sigma_t, tau, gap, drawn, tracked,
+        )  # fmt: skip
+        if self.chromatic:
+            a.reached = si.t + gap + flight.flown if self.null else si.t + gap
+            relative = extinction / dr.select(sigma_t > 0, sigma_t, 1)
+            depths = dr.select(collided, relative * drawn, optical_depth(extinction, a.reached))
+            densities = media.ask(
+                "densities", location, flight.from_particle, collided, depths, relative, drawn
+            )
+            if media.tracks:
+                densities *= tracked_balance
+            a.balance = dr.select(inside, balanced(flight.balance, densities), flight.balance)
+            a.carried = s.throughput * a.balance
+        return a
+
+    def _intersect(self, ray: Any, first: Any, active: Any) -> tuple[Any, Contact | None]:
+        """The surface that a ray hits; behind the emitters, if these are hidden."""
+        si, contact = self.nee.tracer.hit(ray, first, active)
+        if not self.options.hide_emitters:
+            return si, contact
+        hidden = active & first & si.is_valid() & (si.shape.emitter() != None)  # noqa: E711
+        onward = si.spawn_ray(ray.d)
+        behind = self.options.skip_area_emitters(self.nee.scene, onward, True, hidden)
+        skipped = behind.compute_surface_interaction(onward, mi.RayFlags.All, hidden)
+        skipped.t += si.t
+        return dr.select(hidden, skipped, si), contact
+
+    # ------------------------------------------------------------- emission hit by the ray
+
+    def emission(self, s: Path, a: Arrival) -> Emission | None:
+        """What the surface, or the environment, emits; None if nothing that rays can hit does."""
+        if not self.nee.needs.hittable_emitters:
+            return None
+        emitter = a.si.emitter(self.nee.scene)
+        lit = a.on_surface & (emitter != None)  # noqa: E711
+        if self.options.hide_emitters:
+            lit &= ~a.first
+        if s.glass:
+            lit &= ~s.glass.seen
+        radiance, hit = emitter.eval(a.si, lit), None
+        if self.connects:
+            origin = s.vertex if self.null else s.o
+            bent = BentRay(s.glass.anchor, origin, lit & s.glass.crossed) if s.glass else None
+            hit = self.nee.hit(a.si, origin, s.pdf, s.certain, bent, lit)
+        return Emission(lit, radiance, hit)
+
+    # ------------------------------------------------------------- connection to an emitter
+
+    def connecting(self, s: Path, a: Arrival, emission: Emission | None) -> tuple[Any, Any]:
+        """Masks of the events that connect straight, and of those that do through glass."""
+        media, needs = self.media, self.nee.needs
+        straight, in_glass = mi.Bool(False), mi.Bool(False)
+        if needs.smooth_surfaces:
+            smooth = a.on_surface & mi.has_flag(a.bsdf.flags(), mi.BSDFFlags.Smooth)
+            straight = smooth & ~a.last
+            if media and s.flight and media.any("sealed"):
+                sealed = media.where("sealed", s.flight.location)
+                straight &= ~sealed | a.si.is_medium_transition()
+        if media and s.flight and media.connects:
+            straight |= a.collided & ~a.last & media.holds("connects", s.flight.location)
+        if self.nee.glass:
+            if needs.smooth_surfaces:
+                in_glass |= smooth
+            if media and s.flight and media.any("samples"):
+                in_glass |= a.collided & media.holds("samples", s.flight.location)
+            in_glass &= s.depth + 2 < self.options.max_depth
+            if s.glass and emission:
+                in_glass &= ~(emission.lit & s.glass.crossed)  # the search is for another one
+        return straight, in_glass
+
+    def arriving(
+        self,
+        sampler: mi.Sampler,
+        s: Path,
+        a: Arrival,
+        vertex: Any,
+        link: Link,
+        scattering: Scattering,
+    ) -> Any:
+        """What a connection contributes."""
+        location = s.flight.location if s.flight else None
+        if self.media and self.nee.needs.smooth_boundaries:
+            leaving = partial(self._behind, a, location)
+        else:
+            leaving = partial(_stay, location)
+        start = Start(vertex, leaving, a.collided)
+        useful = dr.any(scattering.value != 0)
+        light = self.nee.arriving(link, start, sampler, useful)
+        return a.carried * scattering.value * light * link.weight(scattering.value_pdf)
+
+    # ------------------------------------------------------------- scattering
+
+    def scatter(self, sampler: mi.Sampler, s: Path, a: Arrival, wo: Any) -> Scattering:
+        """Evaluate the BSDF or the phase function towards ``wo``, and sample it."""
+        si, on_surface, collided = a.si, a.on_surface, a.collided
+        u1, u2 = sampler.next_1d(), sampler.next_2d()
+        value, value_pdf, bs, weight = eval_pdf_sample(
+            a.bsdf, si, si.to_local(wo), u1, u2, on_surface
+        )
+        d, pdf = si.to_world(bs.wo), bs.pdf
+        passed = on_surface & mi.has_flag(bs.sampled_type, mi.BSDFFlags.Null)
+        certain = mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta)
+        if self.media and s.flight:
+            location = s.flight.location
+            mei = medium_interaction(s.d, a.ray, a.p)
+            m = self.media.ask("scatter", location, mei, wo, u1, u2, active=collided & ~a.last)
+            value = dr.select(collided, m.albedo * m.value, value)
+            value_pdf = dr.select(collided, m.pdf, value_pdf)
+            weight = dr.select(collided, m.albedo * m.weight, weight)
+            d = dr.select(collided, m.wo, d)
+            pdf = dr.select(collided, m.wo_pdf, pdf)
+            certain = dr.select(collided, ~self.media.holds("connects", location), certain)
+        return Scattering(value, value_pdf, d, pdf, weight, bs, passed, certain)
+
+    # ------------------------------------------------------------- the next ray
+
+    def advance(
+        self,
+        sampler: mi.Sampler,
+        s: Path,
+        a: Arrival,
+        vertex: Any,
+        scattering: Scattering,
+        in_glass: Any,
+    ) -> None:
+        """Take the new direction, or end."""
+        d, on_surface = scattering.d, a.on_surface
+        s.active = on_surface | (a.collided & ~a.last) if self.media else on_surface
+        s.opaque |= s.active & ~scattering.passed
+        s.active &= scattering.pdf > 0
+        s.throughput = dr.select(s.active, s.throughput * scattering.weight, s.throughput)
+        s.eta = dr.select(on_surface, s.eta * scattering.bs.eta, s.eta)
+        scattered = s.active & ~scattering.passed
+        s.far = mi.Float(dr.largest(mi.Float))
+        s.depth = dr.select(scattered, s.depth + 1, s.depth)
+        out: Any = mi.Bool(False)
+        if s.glass:
+            out = self._leave_glass(s, a, vertex, scattering, in_glass, scattered)
+        s.pdf = dr.select(scattered & ~out, scattering.pdf, s.pdf)
+        s.certain = dr.select(scattered, scattering.certain, s.certain)
+        if self.nee.silent:
+            # No connection gets through here: what this ray finds counts in full.
+            hidden = scattering.passed & (self.nee.silent.of(a.bsdf) != 0)
+            s.certain |= hidden
+            if s.glass:
+                s.glass.armed &= ~hidden
+                s.glass.crossed &= ~hidden
+        s.o, s.d = self.nee.offset.onward(vertex, d), d
+        if self.media and s.flight:
+            self._go_on(self.media, s, s.flight, a, scattered)
+        if self.null:
+            s.vertex = dr.select(scattered, a.p, s.vertex)
+            s.passes = dr.select(scattered, 0, s.passes + 1)
+            s.active &= s.passes < MOST_PASSES
+
+        # Russian roulette.
+        balance = s.flight.balance if s.flight else None
+        carried = s.throughput if balance is None else s.throughput * balance
+        s.active &= dr.any(carried != 0) & (s.depth < self.options.max_depth)
+        survival = dr.detach(dr.minimum(dr.max(carried) * dr.square(s.eta), 0.95))
+        roulette = scattered & (s.depth > self.options.rr_depth)
+        s.active &= ~roulette | (sampler.next_1d() < survival)
+        s.throughput = dr.select(roulette, s.throughput * dr.rcp(survival), s.throughput)
+
+    def _leave_glass(
+        self,
+        s: Path,
+        a: Arrival,
+        vertex: Any,
+        scattering: Scattering,
+        in_glass: Any,
+        scattered: Any,
+    ) -> Any:
+        """Follow a path out of glass; the mask of those that leave it here."""
+        assert s.glass and self.nee.glass
+        bs, on_surface = scattering.bs, a.on_surface
+        # What the camera sees reflected in glass is not left to chance.
+        seen = on_surface & a.first & ~a.last & self.nee.glass.meets(a.si)
+        if self.media and s.flight:
+            seen &= ~self.media.inside(s.flight.location)
+        reflected = a.carried * self.nee.reflected(a.si, vertex, a.bsdf, seen)
+        s.radiance = dr.select(seen, s.radiance + reflected, s.radiance)
+        s.glass.seen = seen & mi.has_flag(bs.sampled_type, mi.BSDFFlags.DeltaReflection)
+        # Out of the glass, the density is that of the last direction within.
+        out = s.glass.armed & mi.has_flag(bs.sampled_type, mi.BSDFFlags.DeltaTransmission)
+        out &= scattered & on_surface & (dr.dot(scattering.d, a.si.n) > 0)
+        s.glass.crossed = dr.select(scattered, out, s.glass.crossed)
+        delta = on_surface & mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta)
+        s.glass.armed = dr.select(scattered, in_glass & ~delta, s.glass.armed)
+        s.glass.anchor = dr.select(scattered & in_glass, a.p, s.glass.anchor)
+        return out
+
+    def _behind(self, a: Arrival, location: Any, d: Any) -> Any:
+        """Location of a ray that leaves an event in direction ``d``."""
+        assert self.media
+        return self.media.behind(a.si, a.on_surface, location, d, a.contact)
+
+    def _go_on(self, media: Media, s: Path, flight: Flight, a: Arrival, scattered: Any) -> None:
+        """Begin a flight, or go on with the present one, straight through a null surface."""
+        flight.offset = mi.Vector3f(s.o - a.p)
+        beyond = self._behind(a, flight.location, s.d)
+        fresh = flight.fresh
+        if self.null:
+            fresh = flight.fresh = scattered | (beyond != flight.location)
+            flight.tau = dr.maximum(a.tau - a.sigma_t * (a.si.t + a.gap), 0)
+        if self.chromatic:
+            balance = a.balance
+            if self.null:
+                flight.drawn, flight.flown = a.drawn, dr.select(fresh, 0, a.reached)
+                # Tracked flights have no memory: each stretch counts by itself.
+                done = fresh | a.tracked if media.tracks else fresh
+                balance = dr.select(done, balance, flight.balance)
+            flight.balance = mi.UnpolarizedSpectrum(balance)
+        if self.null and self.chromatic:
+            flight.from_particle = dr.select(fresh, a.collided, flight.from_particle)
+        else:
+            flight.from_particle = a.collided
+        flight.location = beyond
+
+
+def _collision(s: Path, flight: Flight, travelled: Any, gap: Any) -> Any:
+    """Point at a distance of ``travelled`` from the last event.
+
+    The ray starts off the surface, and so runs beside the line that it stands for. Right behind
+    the surface the point goes back to that line (but for 0.1 % of the offset, to stay inside):
+    in a dense medium all happens there. The share falls as the square of the distance, so that
+    the point stays inside a curved surface that the ray only grazes.
+    """
+    square = dr.maximum(dr.squared_norm(flight.offset), 1e-30)
+    share = dr.maximum(1 - 1e-3 * dr.square(travelled) / square, 0)
+    on_ray = dr.fma(s.d, travelled - gap, s.o)
+    return on_ray - share * (0.999 * flight.offset - gap * s.d)
+
+
+def _stay(location: Any, _direction: Any) -> Any:
+    return location
