@@ -10,7 +10,7 @@ import numpy as np
 from ..numerics import log1p, select, with_derivative
 from ..numerics.special import LogLogSpline, log1p_excess_ratio
 from ..transmittance import Draw, Transmittance
-from ..transmittance.parameters import parameter
+from ..transmittance.parameters import number, parameter
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +44,7 @@ class DavisWeinstein(Transmittance):
     @cached_property
     def _stretch(self) -> LogLogSpline:
         """``tau/e`` as a function of ``e = -ln T(tau)``."""
-        h, c = (float(dr.detach(v)[0]) if dr.is_array_v(v) else float(v) for v in (self.h, self.c))
+        h, c = number(self.h), number(self.c)
         return LogLogSpline(lambda e: _log_stretch(e, 2 * h - 1, 2 * h * np.log(c)), -53, 6, 16)
 
     @property

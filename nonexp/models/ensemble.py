@@ -38,8 +38,12 @@ class Ensemble(Transmittance):
 
     law: Any = text("", doc="name of a distribution of scipy.stats")
     args: Any = vector((), differentiable=False, doc="its arguments: shapes, then loc and scale")
-    sigma: Any = vector((), least=0, most=1e12, differentiable=False, doc="values of S, if no law")
-    weight: Any = vector((), least=0, differentiable=False, doc="their weights; default: equal")
+    sigma: Any = vector(
+        (), least=0, most=1e12, differentiable=False, scales=-1, doc="values of S, if no law"
+    )
+    weight: Any = vector(
+        (), least=0, differentiable=False, relative=True, doc="their weights; default: equal"
+    )
     examples: ClassVar[tuple[dict[str, Any], ...]] = (
         {"law": "gamma", "args": (2.0, 0.0, 0.5)},
         {"law": "lognorm", "args": (1.0, 0.0, 0.6)},

@@ -5,7 +5,6 @@ Evaluated anew for each variant by :mod:`nonexp.plugins`.
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Any
 
 import drjit as dr
@@ -15,7 +14,7 @@ from nonexp import models
 from nonexp.numerics.lookup import tables_in
 from nonexp.transmittance import Transmittance, parameters
 from nonexp.transmittance.functions import load_function
-from nonexp.transmittance.kinds import kind_of
+from nonexp.transmittance.kinds import kind_of, number, parameters_of
 
 
 class TransmittanceTexture(mi.Texture):
@@ -31,22 +30,24 @@ class TransmittanceTexture(mi.Texture):
     def __init__(self, key: str, props: mi.Properties) -> None:
         super().__init__(props)
         self.key = key
-        fields = dataclasses.fields(models.registry[key])  # type: ignore[arg-type]
-        self._kinds = {field.name: kind_of(field) for field in fields}
+        self._fields = parameters_of(models.registry[key])
+        self._kinds = {name: kind_of(field) for name, field in self._fields.items()}
         self._fixed: dict[str, Any] = {}
         self._components: dict[str, list[TransmittanceTexture]] = {}
         checked = models.create(key, **self._given(props))
         for name, kind in self._kinds.items():
             if _is(kind, parameters.Components) and name not in self._components:
-                parts = [models.to_dict(model) for model in getattr(checked, name)]
+                parts = [
+                    models.to_dict(model) for model in getattr(checked, self._fields[name].name)
+                ]
                 self._components[name] = [type(self)._of(part) for part in parts]
 
         self.values: dict[str, Any] = {}
         for name, kind in self._kinds.items():
-            value = getattr(checked, name)
+            value = getattr(checked, self._fields[name].name)
             if isinstance(kind, parameters.Vector):
                 if len(value):
-                    self.values[name] = mi.Float([float(_number(v)) for v in value])
+                    self.values[name] = mi.Float([number(v) for v in value])
             elif isinstance(kind, parameters.Whole):
                 self.values[name] = mi.UInt32(value)
             elif name not in self._fixed and name not in self._components:
@@ -119,7 +120,7 @@ class TransmittanceTexture(mi.Texture):
         dr.make_opaque(self.values)  # other values, same kernel
         for name, kind in self._kinds.items():
             if isinstance(kind, parameters.Vector):
-                dr.eval(getattr(self._model, name))
+                dr.eval(getattr(self._model, self._fields[name].name))
         self._accepted = {name: type(value)(value) for name, value in self.values.items()}
         # Where dr.freeze looks for what a kernel reads: tables too, which are made at first use.
         for law in (model.ff, model.pf):
@@ -152,10 +153,6 @@ class TransmittanceTexture(mi.Texture):
 
 def _is(kind: Any, cls: type) -> bool:
     return isinstance(kind, cls)
-
-
-def _number(value: Any) -> Any:
-    return dr.detach(value)[0] if dr.is_array_v(value) else value
 
 
 def _shown(values: Any) -> str:

@@ -11,7 +11,7 @@ from ..numerics import filled, select
 from . import Draw, Transmittance
 from .parameters import check, number
 
-__all__ = ["check_extinction", "pick", "replayed", "weights"]
+__all__ = ["pick", "replayed", "require_extinction", "weights"]
 
 _STEP = 2.0**-23  # of random numbers in single precision
 
@@ -35,7 +35,7 @@ def weights(model: Transmittance, given: tuple[Any, ...], items: str) -> tuple[A
     return given
 
 
-def check_extinction(model: Transmittance) -> None:
+def require_extinction(model: Transmittance) -> None:
     """Raise ``ValueError`` unless the mean extinction of a mixture is positive and finite."""
     check(f"mean extinction of {type(model).__name__}", model.sigma_bar, above=0)
 
