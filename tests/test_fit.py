@@ -14,6 +14,7 @@ import pytest
 from drjit.llvm.ad import Float64
 
 from nonexp import fitting, models
+from nonexp.fitting.fit import _shown
 
 Parameters = dict[str, Any]
 
@@ -348,7 +349,7 @@ def test_a_fit_prints_its_values_with_two_digits_of_the_error() -> None:
 def test_numbers_are_shown_to_two_digits_of_their_error(
     value: float, error: float | None, shown: tuple[str, str]
 ) -> None:
-    text = fitting._shown(value, error)
+    text = _shown(value, error)
     assert [word and float(word) if word[:1].isdigit() else word for word in text] == [
         word and float(word) if word[:1].isdigit() else word for word in shown
     ]
@@ -427,18 +428,92 @@ def test_standard_deviations_are_read(tmp_path: Path) -> None:
         assert (y.tolist(), sigma.tolist()) == ([0.4, 0.2], [0.01, 0.02])
 
 
+# What tables look like that other programs write; all of the same three points.
+OTHERS = {
+    "unsorted": "2,0.2\n0.5,0.6\n1,0.4\n",
+    "index of pandas": ",tau,ff\n0,0.5,0.6\n1,1.0,0.4\n2,2.0,0.2\n",
+    "index, other titles": ",a,b\n0,0.5,0.6\n1,1.0,0.4\n2,2.0,0.2\n",
+    "index, read again": "Unnamed: 0,x,y\n0,0.5,0.6\n1,1.0,0.4\n2,2.0,0.2\n",
+    "index of a selection": ",x,y\n3,0.5,0.6\n7,1.0,0.4\n8,2.0,0.2\n",
+    "index without titles": "0,0.5,0.6\n1,1.0,0.4\n2,2.0,0.2\n",
+    "index in tabs": "\ttau\tff\n0\t0.5\t0.6\n1\t1.0\t0.4\n2\t2.0\t0.2\n",
+    "rows of R": '"tau" "ff"\n"1" 0.5 0.6\n"2" 1 0.4\n"3" 2 0.2\n',
+    "decimal commas": "tau;ff\n0,5;0,6\n1;0,4\n2;0,2\n",
+    "decimal commas, blanks": "0,5 0,6\n1,0 0,4\n2,0 0,2\n",
+    "decimal commas, quotes": '"0,5","0,6"\n"1","0,4"\n"2","0,2"\n',
+    "units": "depth,transmittance\nmm,1\n0.5,0.6\n1,0.4\n2,0.2\n",
+    "units in brackets": "depth;transmittance\n[mm];[]\n0.5;0.6\n1;0.4\n2;0.2\n",
+    "text column": "a,0.5,0.6\nb,1,0.4\nc,2,0.2\n",
+    "text column, titles": "sample,tau,ff\na,0.5,0.6\nb,1,0.4\nc,2,0.2\n",
+    "other order": "transmittance,distance [mm]\n0.6,0.5\n0.4,1\n0.2,2\n",
+    "one title known": "T;tau\n0.6;0.5\n0.4;1\n0.2;2\n",
+    "other columns": "run,pf,ff,depth,sigma_t\n7,1,0.6,0.5,3\n7,.5,0.4,1,3\n7,.1,0.2,2,3\n",
+    "errors of the distance": "a,distance error,b\n0.5,.1,0.6\n1,.1,0.4\n2,.1,0.2\n",
+    "titles of savetxt": "# ff tau\n0.6 0.5\n0.4 1\n0.2 2\n",
+    "last separators": "tau,ff,\n0.5,0.6,\n1,0.4,\n2,0.2,\n",
+    "empty rows": "tau,ff\n0.5,0.6\n1,0.4\n2,0.2\n,\n,\n",
+}
+
+
+@pytest.mark.parametrize("case", OTHERS)
+def test_tables_of_other_programs_are_read(tmp_path: Path, case: str) -> None:
+    path = tmp_path / "data.csv"
+    path.write_text(OTHERS[case])
+    x, y, sigma = fitting.read_table(path)
+    assert (x.tolist(), y.tolist(), sigma) == ([0.5, 1, 2], [0.6, 0.4, 0.2], None)
+    law = models.create("tabulated", filename=path)  # it is the same reader
+    np.testing.assert_allclose(law.ff(x), y, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "title", ["sigma", "stderr", "std", "standard deviation", "ff_err", "Uncertainty (1 sd)"]
+)
+def test_standard_deviations_are_found_by_title(tmp_path: Path, title: str) -> None:
+    path = tmp_path / "data.csv"
+    path.write_text(f"{title},tau,ff\n.02,2,0.2\n.01,1,0.4\n")
+    x, y, sigma = fitting.read_table(path)
+    assert sigma is not None
+    assert (x.tolist(), y.tolist(), sigma.tolist()) == ([1, 2], [0.4, 0.2], [0.01, 0.02])
+
+
+def test_a_distance_that_counts_is_no_index(tmp_path: Path) -> None:
+    path = tmp_path / "data.csv"
+    for head in ("", "distance,ff,sigma\n", "depth,a,b\n"):
+        path.write_text(head + "0,1,.01\n1,.5,.02\n2,.3,.03\n")
+        x, y, sigma = fitting.read_table(path)
+        assert sigma is not None
+        assert (x.tolist(), y.tolist()) == ([0, 1, 2], [1, 0.5, 0.3])
+        assert sigma.tolist() == [0.01, 0.02, 0.03]
+
+
+def test_units_in_the_encoding_of_spreadsheets_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "data.csv"
+    path.write_bytes("depth;ff\nµm;\n0,5;0,6\n".encode("latin-1"))
+    assert fitting.read_table(path)[0].tolist() == [0.5]
+
+
 BAD_TABLES = {
-    "word": ("1,0.5\n2,half\n", "bad.csv, line 2: 'half' is not a number"),
-    "one column": ("1\n2\n", r"bad.csv, line 1: has 1 columns, it must have 2 or 3"),
-    "four columns": ("1 2 3 4\n", "line 1: has 4 columns"),
-    "ragged": ("1,0.5\n2,0.4,0.1\n", "line 2: has 3 columns, it must have 2 "),
-    "empty": ("# nothing\n", "bad.csv holds no numbers"),
-    "titles only": ("tau,ff\n", "bad.csv holds no numbers"),
-    "two lines of titles": ("tau,ff\nmm,1\n1,0.5\n", "line 2: 'mm' is not a number"),
-    "percent": ("tau,ff\n# in mm\n1,0.9\n2,50\n", "bad.csv, line 4: ff is 50, it must be a trans"),
-    "nan": ("1,nan\n", "bad.csv, line 1: ff is nan"),
-    "negative": ("1,0.5\n-2,0.6\n", "bad.csv, line 2: tau is -2"),
-    "sigma": ("1,0.5,0\n", "bad.csv, line 1: sigma is 0"),
+    "index alone": (",ff\n0,0.9\n1,0.5\n", "line 2 has 1 columns of numbers"),
+    "two distances": ("tau,depth,ff\n1,1,.5\n", "'tau' and 'depth' could both be tau"),
+    "named elsewhere": ("a,b,ff\n1,2,.5\n", "column 'ff' is ff, but no title says which is tau"),
+    "points and commas": ("0.5;0,6\n1.5;0,4\n", "decimal points and decimal commas"),
+    "commas between commas": ("0,5,0,6\n1,5,0,4\n", "line 1 has 4 columns of numbers"),
+    "missing": ("tau,ff\n1,\n2,0.5\n", "line 2 has '' for ff: it must be a number"),
+    "titles": ("tau,ff,a,b\n1,0.5\n", "line 2 has 2 columns, but there are 4 titles"),
+    "word": ("1,0.5\n2,half\n", "bad.csv: line 2 has 'half' for ff: it must be a number"),
+    "one column": ("1\n2\n", r"bad.csv: line 1 has 1 columns of numbers .* there must be 2 or 3"),
+    "four columns": ("1 2 3 4\n", "line 1 has 4 columns of numbers"),
+    "ragged": ("1,0.5\n2,0.4,0.1\n", "line 2 has 3 columns, line 1 has 2"),
+    "empty": ("# nothing\n", "bad.csv: it holds no numbers"),
+    "titles only": ("tau,ff\n", "bad.csv: it holds no numbers"),
+    "two lines of titles": ("tau,ff\nmm,1\nx,y\n1,0.5\n", "line 2 has 'mm' for tau: it must be"),
+    "percent": (
+        "tau,ff\n# in mm\n1,0.9\n2,50\n",
+        "bad.csv: line 4: ff is 50, .* ff is 'ff'",
+    ),
+    "nan": ("1,nan\n", "bad.csv: line 1: ff is nan"),
+    "negative": ("1,0.5\n-2,0.6\n", "bad.csv: line 2: tau is -2"),
+    "sigma": ("1,0.5,0\n", "bad.csv: line 1: sigma is 0"),
 }
 
 
@@ -451,19 +526,19 @@ def test_bad_tables_are_refused_with_the_line(tmp_path: Path, case: str) -> None
 
 
 def test_files_that_are_no_tables_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(OSError, match=r"'.*gone.csv' does not exist"):
+    with pytest.raises(OSError, match=r"gone\.csv: there is no such file"):
         fitting.read_table(tmp_path / "gone.csv")
-    with pytest.raises(OSError, match="is a folder"):
+    with pytest.raises(OSError, match="it is a folder"):
         fitting.read_table(tmp_path)
     (tmp_path / "image.csv").write_bytes(b"\x89PNG\xff")
-    with pytest.raises(ValueError, match=r"image\.csv is not a text file"):
+    with pytest.raises(ValueError, match=r"image\.csv: it is not a text file"):
         fitting.read_table(tmp_path / "image.csv")
     (tmp_path / "text.npz").write_text("1,0.5")
-    with pytest.raises(ValueError, match=r"text\.npz is not an NPZ file"):
+    with pytest.raises(ValueError, match=r"text\.npz: it is not an NPZ file"):
         fitting.read_table(tmp_path / "text.npz")
     np.savez(tmp_path / "names.npz", x=[1, 2], y=[0.5, 0.2])
-    with pytest.raises(ValueError, match=r"has the arrays x, y: it must have tau \(or distance\)"):
+    with pytest.raises(ValueError, match=r"names\.npz: it has the arrays x, y: it must have tau"):
         fitting.read_table(tmp_path / "names.npz")
     np.savez(tmp_path / "shape.npz", tau=[1, 2], ff=[0.5])
-    with pytest.raises(ValueError, match=r"shape.npz: ff has shape \(1,\)"):
+    with pytest.raises(ValueError, match=r"shape\.npz: ff has shape \(1,\): it must be \(2,\)"):
         fitting.read_table(tmp_path / "shape.npz")

@@ -208,11 +208,20 @@ def _efficiency(squares: Array, seconds: Array, seed: int) -> Estimate:
     """1/(variance * median time), with its bootstrap interval over passes."""
     if not np.any(squares > 0):
         return Estimate(math.inf, math.inf, math.inf)
-    value = 1 / (squares.mean() * np.median(seconds))
-    draws = np.random.default_rng(seed).integers(0, len(squares), (2000, len(squares)))
-    again = 1 / (squares[draws].mean(axis=1) * np.median(seconds[draws], axis=1))
-    low, high = np.quantile(again, [0.5 - LEVEL / 2, 0.5 + LEVEL / 2])
-    return Estimate(float(value), float(low), float(high))
+
+    def efficiency(squares: Array, seconds: Array, axis: int = -1) -> Array:
+        return 1 / (squares.mean(axis) * np.median(seconds, axis))
+
+    low, high = stats.bootstrap(
+        (squares, seconds),
+        efficiency,
+        paired=True,
+        n_resamples=2000,
+        confidence_level=LEVEL,
+        method="percentile",
+        random_state=np.random.default_rng(seed),
+    ).confidence_interval
+    return Estimate(float(efficiency(squares, seconds)), float(low), float(high))
 
 
 # --------------------------------------------------------------------- bias

@@ -177,7 +177,8 @@ def _of_text(path: Path) -> Columns:
         if len(cells) != width:
             raise ValueError(f"line {number} has {len(cells)} columns, line {first} has {width}")
     columns = [[cells[i] for _, cells in lines] for i in range(width)]
-    if len(titles) == width - 1 and (_counts(columns[0]) or not any(map(_is_number, columns[0]))):
+    named = _counts(columns[0]) or not any(map(_is_number, columns[0]))
+    if titles and len(titles) == width - 1 and named:
         titles = ["", *titles]  # R writes no title above the names of rows
     if titles and len(titles) != width:
         raise ValueError(f"line {first} has {width} columns, but there are {len(titles)} titles")
@@ -212,12 +213,10 @@ def _cells(content: str) -> Iterator[tuple[int, list[str]]]:
     """Numbers of the lines that are not empty, and their cells."""
     for number, line in enumerate(content.splitlines(), 1):
         line = line.partition("#")[0].strip(" ")
-        separator = next((mark for mark in ";\t" if mark in line), None)
-        if separator is None and "," in line and not all(map(_is_number, line.split())):
-            separator = ","
-        if separator is None:
-            cells = line.split()
-        else:
+        separator = next((mark for mark in ";\t," if mark in line), None)
+        cells = line.split()
+        decimal = separator == "," and len(cells) > 1 and all(map(_is_number, cells))
+        if separator and not decimal:
             cells = next(csv.reader([line], delimiter=separator, skipinitialspace=True))
         cells = [cell.strip().strip('"') for cell in cells]
         if any(cells):
@@ -251,7 +250,8 @@ def _is_units(cells: Sequence[str], below: Sequence[str]) -> bool:
     """Whether the row below the titles is one of units: words (or 1) where numbers follow."""
     words = [not _is_number(cell) for cell in cells]
     plain = all(word or cell == "1" for word, cell in zip(words, cells, strict=True))
-    return plain and any(w and _is_number(b) for w, b in zip(words, below, strict=False))
+    over = zip(words, cells, below, strict=False)
+    return plain and any(word and cell and _is_number(number) for word, cell, number in over)
 
 
 def _counts(column: Sequence[str]) -> bool:
@@ -269,6 +269,7 @@ def _chosen(titles: Sequence[str], columns: list[list[str]], first: int) -> dict
     if {"tau", "ff"} <= named.keys():
         return named
     numbers = [i for i, column in enumerate(columns) if any(map(_is_number, column))]
+    numbers = [i for i in numbers if not titles or _meaning(titles[i]) != "other"]
     if numbers and _is_index(titles, columns, numbers):
         numbers = numbers[1:]
     if len(numbers) not in (2, 3):
@@ -293,16 +294,22 @@ def _by_title(titles: Sequence[str]) -> dict[str, int]:
     """The columns whose titles tell what they are."""
     found: dict[str, int] = {}
     for i, title in enumerate(titles):
-        text = re.sub(r"[\[(].*", "", title.lower())  # without a unit in brackets
-        words = re.findall(r"[a-z0-9]+", text)
-        meant = [meaning for meaning, known in _MEANINGS.items() if known & {*words}]
-        if not meant or words in _EXTINCTIONS or {"tau", "sigma"} <= {*meant}:
-            continue  # the last: the error of a distance
-        if meant[-1] in found:
-            both = f"{titles[found[meant[-1]]]!r} and {title!r}"
-            raise ValueError(f"columns {both} could both be {meant[-1]}: rename one of them")
-        found[meant[-1]] = i
+        meaning = _meaning(title)
+        if meaning in found:
+            both = f"{titles[found[meaning]]!r} and {title!r}"
+            raise ValueError(f"columns {both} could both be {meaning}: rename one of them")
+        if meaning in _MEANINGS:
+            found[meaning] = i
     return found
+
+
+def _meaning(title: str) -> str:
+    """``tau``, ``ff`` or ``sigma``; ``other`` of what is known to be none of them; else empty."""
+    words = re.findall(r"[a-z0-9]+", re.sub(r"[\[(].*", "", title.lower()))  # without the unit
+    meant = [meaning for meaning, known in _MEANINGS.items() if known & {*words}]
+    if words in _EXTINCTIONS or {"tau", "sigma"} <= {*meant}:  # the latter: errors of a distance
+        return "other"
+    return meant[-1] if meant else ""
 
 
 def _is_index(titles: Sequence[str], columns: list[list[str]], numbers: list[int]) -> bool:
