@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
+import dataclasses
+import itertools
 import math
 import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from build import MODELS, model_id
 from drjit.llvm.ad import Float64
 
-from nonexp import fitting, models
+import nonexp
+from nonexp import fitting, models, parameters
+from nonexp.fitting import plot as plotting
 from nonexp.fitting.fit import _shown
+from nonexp.system import machine
 
 Parameters = dict[str, Any]
 
@@ -218,6 +225,86 @@ def test_the_start_says_how_many_terms() -> None:
     assert models.fit("exponential_mixture", x, y, start=start).residual < 1e-9
 
 
+# ------------------------------------------------------------------------------- declared scales
+
+
+def scaled(case: Any, changes: Parameters, tau: Any) -> Any:
+    """ff of a law whose parameters are multiplied; None where that law is not allowed."""
+    model = models.create(case[0], **case[1])
+    values = {name: getattr(model, f.name) for name, f in parameters.parameters_of(model).items()}
+    for name, factor in changes.items():
+        value = values[name]
+        multiplied = tuple(factor * v for v in flat(value))
+        values[name] = multiplied if isinstance(value, tuple) else multiplied[0]
+    try:
+        return models.create(case[0], **values).ff(tau)
+    except ValueError:
+        return None
+
+
+def nearby(case: Any) -> Any:
+    """The same law with numbers of no special meaning."""
+    kinds = {k: parameters.kind_of(f) for k, f in fields_of(case[0]).items()}
+    special = [k for k, v in case[1].items() if is_real(kinds[k]) and len(flat(v))]
+    other = {k: tuple(1.07 * v + 0.01 for v in flat(case[1][k])) for k in special}
+    return case[0], case[1] | {
+        k: v if isinstance(case[1][k], tuple) else v[0] for k, v in other.items()
+    }
+
+
+def fields_of(name: str) -> Any:
+    return parameters.parameters_of(models.registry[name])
+
+
+def is_real(kind: Any) -> bool:
+    return isinstance(kind, (parameters.Number, parameters.Vector))
+
+
+@pytest.mark.parametrize("case", MODELS, ids=model_id)
+def test_declared_scales_are_those_of_the_formula(case: Any) -> None:
+    """ff(s tau; p) = ff(tau; p s^-scales) for the declared scales, and for no others."""
+    tau = np.geomspace(0.02, 20, 25)
+    cases = [case]
+    if all(k not in ("tau", "ff") for k in case[1]):  # a table of other numbers is not convex
+        cases.append(nearby(case))
+    for one in cases:
+        model = models.create(one[0], **one[1])
+        fields = fields_of(one[0]).items()
+        kinds = {name: parameters.kind_of(field) for name, field in fields}
+        given = {n: getattr(model, f.name) for n, f in fields if is_real(kinds[n])}
+        given = {name: value for name, value in given.items() if flat(value)}
+        for name in [n for n in given if isinstance(given[n], tuple)]:
+            same = scaled(one, {name: 2.0}, tau)
+            evaluated = same is not None and np.allclose(same, model.ff(tau), rtol=1e-7, atol=1e-9)
+            assert evaluated == kinds[name].relative, name
+        names = [k for k in given if not kinds[k].relative and any(flat(given[k]))]
+        held = [k for k in names if kinds[k].scales]
+        declared = tuple(kinds[k].scales for k in names)
+        for scales in itertools.product((0, 1, -1), repeat=len(names)):
+            changes = {k: 2.0**-power for k, power in zip(names, scales, strict=True)}
+            other = scaled(one, changes, tau)
+            if other is None:
+                assert scales != declared
+                continue
+            symmetric = np.allclose(model.ff(2 * tau), other, rtol=1e-7, atol=1e-9)
+            assert symmetric == (scales == declared and (bool(held) or not model.sigma_bar))
+
+
+def test_without_a_declaration_no_scale_is_assumed() -> None:
+    @dataclasses.dataclass(frozen=True, eq=False)
+    class Own(models.registry["linear"]):  # type: ignore[misc]
+        b: Any = nonexp.parameter(1.0, above=0)
+
+    models.register(Own, "own")
+    try:
+        x = np.linspace(0.05, 1, 20)
+        result = models.fit("own", x, 1 - x / 2)
+        assert result.names == ("b", "sigma_t")
+        assert "b and sigma_t cannot be told apart by these data." in result.notes
+    finally:
+        del models.registry["own"]
+
+
 # ------------------------------------------------------------------------------- what is doubtful
 
 
@@ -372,6 +459,32 @@ def test_the_xml_is_a_medium_with_the_fitted_transmittance(name: str) -> None:
         result.sigma_t == 1 and 'value="1.0"' in inside
     )
     assert f'type="transmittance_{name}"' in inside
+
+
+def test_a_fit_shows_itself_in_one_line_and_as_a_table() -> None:
+    result = models.fit("exponential_mixture", *gamma_data())
+    assert "\n" not in repr(result)
+    shown = result._repr_html_()
+    for name, value, error in result.rows():
+        assert f"<tr><td>{name}</td><td>{value}</td><td>" in shown and error in shown
+    ill = models.fit("hard_rod", *gamma_data())
+    assert ill.notes and all(f"<p>{note}</p>" in ill._repr_html_() for note in ill.notes)
+
+
+@pytest.mark.parametrize("what", ["fit", "plot", "custom", "numpy"])
+def test_an_llvm_that_would_abort_is_named(what: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(machine, "llvm_problem", lambda: "LLVM is version 15: install LLVM 17")
+    monkeypatch.setattr(dr, "has_backend", lambda backend: backend == dr.JitBackend.LLVM)
+    law = models.create("gamma")
+    calls: dict[str, Callable[[], Any]] = {
+        "fit": lambda: models.fit("gamma", X, Y),
+        "plot": lambda: plotting.plot_model(law),
+        "custom": lambda: models.create("custom", ff="nonexp.models.custom:wigner"),
+        "numpy": lambda: law.ff([0.5, 1]),
+    }
+    with pytest.raises(machine.MachineError, match="LLVM is version 15: install LLVM 17"):
+        calls[what]()
+    assert law.ff(0.5) == pytest.approx(1.25**-2)  # which needs none
 
 
 # ------------------------------------------------------------------------------- comparison

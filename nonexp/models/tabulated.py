@@ -62,22 +62,23 @@ class Tabulated(Piecewise):
             raise ValueError("Tabulated needs either a filename or both tau and ff")
         label = f"Tabulated.filename is {self.filename!r}" if self.filename else "Tabulated.ff"
         try:
-            if self.filename:
-                table = read(self.filename, label)
-            else:
-                table = Columns.of({"tau": self.tau, "ff": self.values})
-        except OSError as error:
-            raise ValueError(str(error)) from None
+            return _curve(*self._table())
+        except (OSError, ValueError) as error:
+            raise ValueError(f"{label}: {error}") from None
+
+    def _table(self) -> tuple[Any, Any]:
+        if not self.filename:
+            return _convex(Columns.of({"tau": self.tau, "ff": self.values}))
+        table = read(self.filename)
         try:
-            return _curve(*_convex(table))
+            try:
+                return _convex(table)
+            except ValueError:
+                if table.sigma is None:
+                    raise
+                return _convex(_nearest_convex(table))
         except ValueError as error:
-            if table.sigma is None:
-                taken = f" (columns: {table.taken})" if table.taken else ""
-                raise ValueError(f"{label}: {error}{taken}") from None
-        try:
-            return _curve(*_convex(_nearest_convex(table)))
-        except ValueError as error:
-            raise ValueError(f"{label}: {error} (columns: {table.taken})") from None
+            raise ValueError(f"{error} (columns: {table.taken})") from None
 
 
 # ------------------------------------------------------------------------------- checking

@@ -90,28 +90,30 @@ def read_table(path: str | Path) -> tuple[Array, Array, Array | None]:
     Raises ``OSError`` or ``ValueError`` naming the file and, if it is about one, the line; and
     which column was taken for what.
     """
-    table = read(path, str(path))
     try:
-        return check_measured(table.tau, table.ff, table.sigma, table.rows)
+        table = read(path)
+        try:
+            return check_measured(table.tau, table.ff, table.sigma, table.rows)
+        except ValueError as error:
+            raise ValueError(f"{error} (columns: {table.taken})") from None
+    except OSError as error:
+        raise OSError(f"{path}: {error}") from None
     except ValueError as error:
-        raise ValueError(f"{path}: {error} (columns: {table.taken})") from None
+        raise ValueError(f"{path}: {error}") from None
 
 
-def read(path: str | Path, label: str) -> Columns:
+def read(path: str | Path) -> Columns:
     """The columns of a text or NPZ file, found as in :func:`read_table`, with any numbers.
 
     Raises ``OSError`` where there is no such file, ``ValueError`` where it is no table, naming the
-    line if they are about one. Their messages begin with ``label``.
+    line if they are about one, but not the file.
     """
     path = Path(path)
     if path.is_dir():
-        raise OSError(f"{label}: it is a folder, not a table of transmittances")
+        raise OSError("it is a folder, not a table of transmittances")
     if not path.exists():
-        raise OSError(f"{label}: there is no such file")
-    try:
-        return _of_archive(path) if path.suffix.lower() == ".npz" else _of_text(path)
-    except ValueError as error:
-        raise ValueError(f"{label}: {error}") from None
+        raise OSError("there is no such file")
+    return _of_archive(path) if path.suffix.lower() == ".npz" else _of_text(path)
 
 
 def check_measured(

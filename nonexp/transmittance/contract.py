@@ -23,6 +23,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import inspect
+import math
 import sys
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
@@ -56,10 +57,10 @@ class Transmittance(ABC):
     * a number, and return one;
     * a NumPy array or a sequence, and return a float64 array of the same shape, computed in double
       precision (needs a Dr.Jit backend: ``MachineError`` where none works);
-    * a Dr.Jit array, and return one of its type: what kernels call. These are not checked:
-      values at negative depths mean nothing.
+    * a Dr.Jit array, and return one of its type: what kernels call. Depths are not checked here:
+      values at negative ones mean nothing.
 
-    They raise ``ValueError`` for negative numbers, and for what are no numbers. NaN gives NaN.
+    Numbers and NumPy arrays raise ``ValueError`` where they are negative; NaN gives NaN.
     """
 
     examples: ClassVar[tuple[dict[str, Any], ...]] = ({},)
@@ -171,6 +172,8 @@ def _for_all_depths(law: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]
                 return _over(self, law, tau)
         if tau < 0:
             raise ValueError(f"tau is {tau:g}: an optical depth must be >= 0")
+        if tau != tau:
+            return math.nan
         return law(self, tau if type(tau) in (int, float) else float(tau))
 
     method.formula = law  # type: ignore[attr-defined]
@@ -194,7 +197,7 @@ def _over(model: Transmittance, law: Callable[[Any, Any], Any], tau: Any) -> Any
     own = next((sys.modules[type(array).__module__] for array in _arrays(model)), None)
     values = law(model, (own or array_types()).Float64(tau.ravel()))
     values = np.array(dr.detach(values), dtype=np.float64)
-    return np.broadcast_to(values, tau.size).reshape(tau.shape).copy()
+    return np.where(np.isnan(tau), np.nan, np.broadcast_to(values, tau.size).reshape(tau.shape))
 
 
 def _arrays(value: Any) -> Iterator[Any]:
