@@ -1,4 +1,4 @@
-"""Figures of a model and of fits to data, with matplotlib (the extra ``plot``)."""
+"""Figures of a model, and of fits beside their data, with matplotlib (the extra ``plot``)."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ __all__ = ["STYLE", "check_path", "plot_fit", "plot_model", "require", "save"]
 
 Array = npt.NDArray[np.float64]
 
-# Okabe and Ito's colours, which colour-blind people can tell apart.
+# The palette of Okabe and Ito, safe for colour blindness.
 BLUE, ORANGE, GREEN, PURPLE, GREY = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#666666"
 _COLOURS = (ORANGE, BLUE, GREEN, PURPLE, "#E69F00", "#56B4E9")
 _STYLES = ("-", "--", "-.", ":")
@@ -121,8 +121,8 @@ class _Law:
         return np.asarray(getattr(self.model, name)(tau))
 
     def reach(self, level: float, most: float) -> float:
-        """Optical depth by which ``ff`` and ``pf`` have come close to their limits, at most so many
-        mean flights."""
+        """Optical depth at which ``ff`` and ``pf`` are within ``level`` of their limits, at most
+        ``most`` mean flights."""
         tau = self.mean * np.geomspace(1e-3, 1e9, 4000)
         left = np.maximum(*(self(name, tau) - self(name, tau[-1:]) for name in ("ff", "pf")))
         if not self.sigma_bar:

@@ -331,7 +331,7 @@ class Problem:
         return np.nan_to_num(self._weighted(difference), nan=1e3, posinf=1e3, neginf=-1e3)
 
     def _scaled(self, start: dict[str, Any]) -> tuple[float, float]:
-        """The best sum of squares that a start reaches by its scale alone, and that scale."""
+        """The least sum of squares over the scales of a start, and that scale."""
         if self.sigma_t is not None and not self.scales:
             return float(np.sum(self._residuals((start, self.sigma_t)) ** 2)), 1.0
         positive = self.x[self.x > 0]
@@ -376,7 +376,8 @@ class Problem:
     def _snapped(
         self, held: dict[str, Any], coordinates: list[_Coordinate], at: Array, chi2: float
     ) -> tuple[Array, npt.NDArray[np.bool_]]:
-        """The solution with what all but reached a bound, and may as well be there, put there."""
+        """The solution, with coordinates moved onto a bound that they nearly reached if it fits as
+        well there; and which these are."""
         at, limits = at.copy(), np.zeros(len(at), dtype=bool)
         for i, c in enumerate(coordinates):
             for bound in (c.low, c.high):
@@ -403,7 +404,7 @@ class Problem:
                 notes.append(f"{c.label} is at the limit of its range.")
             else:
                 blind.append(unit[i])
-                notes.append(f"{c.label} is not determined by these data: it ran away.")
+                notes.append(f"{c.label} is not determined by these data: no finite value is best.")
 
         # With columns of unit length the singular values tell how different the columns are.
         length = np.linalg.norm(solution.jacobian, axis=0)

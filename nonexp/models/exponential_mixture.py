@@ -12,7 +12,8 @@ from ..transmittance import Draw, Transmittance
 from ..transmittance.choice import pick, require_extinction, weights
 from ..transmittance.parameters import check, vector
 
-# Below it float32 has no normal numbers; 1 / it stands for infinity, which zeros turn into NaN.
+# Below this float32 has no normal numbers. Its reciprocal stands for infinity, because
+# zero times infinity would be NaN.
 _VANISHING = 1e-37
 
 

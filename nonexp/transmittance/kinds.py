@@ -1,4 +1,4 @@
-"""What every kind of parameter has in common; :mod:`.parameters` has the kinds."""
+"""What all kinds of parameters have in common; the kinds are in :mod:`.parameters`."""
 
 from __future__ import annotations
 

@@ -179,15 +179,8 @@ def parameter(
     ``scene_name`` is the name in scenes and for ``models.create``, if not the field's.
     """
     allowed = _Range(above, least, most)
-    kind = Number(
-        doc=doc,
-        limits=str(allowed),
-        same_as=same_as,
-        scales=scales,
-        scene_name=scene_name,
-        range=allowed,
-    )
-    return _field(default, kind)
+    kind = Number(doc=doc, limits=str(allowed), scene_name=scene_name, range=allowed)
+    return _field(default, dataclasses.replace(kind, same_as=same_as, scales=scales))
 
 
 def whole(default: int, *, least: int, most: int, doc: str = "") -> Any:
@@ -216,16 +209,9 @@ def vector(
     are those of :func:`parameter`.
     """
     allowed = _Range(above, least, most)
-    kind = Vector(
-        doc=doc,
-        limits=str(allowed),
-        differentiable=differentiable,
-        scales=scales,
-        relative=relative,
-        scene_name=scene_name,
-        range=allowed,
-    )
-    return _field(default, kind)
+    kind = Vector(doc=doc, limits=str(allowed), scene_name=scene_name, range=allowed)
+    kind = dataclasses.replace(kind, scales=scales, relative=relative)
+    return _field(default, dataclasses.replace(kind, differentiable=differentiable))
 
 
 def text(default: Any = "", *, is_file: bool = False, doc: str = "") -> Any:
