@@ -192,6 +192,7 @@ def test_what_is_no_optical_depth_is_refused(case: Any, kernel: str) -> None:
         ("far", "tau is 'far': it must be a number >= 0, or an array"),
         (None, "tau is None: it must be"),
         (1j, "tau is 1j: it must be"),
+        ([[1, 2], [3]], "tau is .*: it must be a number >= 0, or an array"),
     ):
         with pytest.raises(ValueError, match=words):
             function(wrong)

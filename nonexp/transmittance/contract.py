@@ -20,6 +20,7 @@ non-exponential radiative transfer* (2018).
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import inspect
@@ -182,10 +183,11 @@ def _for_all_depths(law: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]
 
 def _depths(tau: Any) -> Any:
     """A float64 array; ``ValueError`` where that would not be of numbers."""
-    array = np.asarray(tau)
-    if array.dtype.kind not in "iuf":
-        raise ValueError(f"tau is {tau!r}: it must be a number >= 0, or an array of such")
-    return array.astype(np.float64)
+    with contextlib.suppress(ValueError):  # of lists of lists of several lengths
+        array = np.asarray(tau)
+        if array.dtype.kind in "iuf":
+            return array.astype(np.float64)
+    raise ValueError(f"tau is {tau!r}: it must be a number >= 0, or an array of such")
 
 
 def _over(model: Transmittance, law: Callable[[Any, Any], Any], tau: Any) -> Any:
