@@ -584,8 +584,11 @@ MODEL_ERRORS: dict[str, tuple[list[str], str]] = {
     "plot suffix": (["plot", "gamma", "-o", "a.exr"], "output is 'a.exr': it must end in .png, "),
     "plot folder": (["plot", "gamma", "-o", "no/a.png"], "its folder 'no' does not exist"),
     "plot on a folder": (["plot", "gamma", "-o", "dir.png"], "output is 'dir.png': it is a folder"),
-    "no data": (["fit", "gone.csv", "--model", "gamma"], "'gone.csv' does not exist"),
-    "data": (["fit", "bad.csv", "--model", "gamma"], "bad.csv, line 2: 'half' is not a number"),
+    "no data": (["fit", "gone.csv", "--model", "gamma"], "gone.csv: there is no such file"),
+    "data": (
+        ["fit", "bad.csv", "--model", "gamma"],
+        "bad.csv: line 2 has 'half' for ff: it must be a number",
+    ),
     "few data": (["fit", "two.csv", "--model", "gamma"], r"than there are points \(1\)"),
     "fit model": (["fit", "data.csv", "--model", "gama"], "model is 'gama': it must be one of"),
     "fit models": (

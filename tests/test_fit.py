@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+import dataclasses
+import itertools
 import math
 import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from build import MODELS, model_id
 from drjit.llvm.ad import Float64
 
-from nonexp import fitting, models
+import nonexp
+from nonexp import fitting, models, parameters
+from nonexp.fitting import plot as plotting
+from nonexp.fitting.fit import _shown
+from nonexp.system import machine
 
 Parameters = dict[str, Any]
 
@@ -217,6 +225,86 @@ def test_the_start_says_how_many_terms() -> None:
     assert models.fit("exponential_mixture", x, y, start=start).residual < 1e-9
 
 
+# ------------------------------------------------------------------------------- declared scales
+
+
+def scaled(case: Any, changes: Parameters, tau: Any) -> Any:
+    """ff of a law whose parameters are multiplied; None where that law is not allowed."""
+    model = models.create(case[0], **case[1])
+    values = {name: getattr(model, f.name) for name, f in parameters.parameters_of(model).items()}
+    for name, factor in changes.items():
+        value = values[name]
+        multiplied = tuple(factor * v for v in flat(value))
+        values[name] = multiplied if isinstance(value, tuple) else multiplied[0]
+    try:
+        return models.create(case[0], **values).ff(tau)
+    except ValueError:
+        return None
+
+
+def nearby(case: Any) -> Any:
+    """The same law with numbers of no special meaning."""
+    kinds = {k: parameters.kind_of(f) for k, f in fields_of(case[0]).items()}
+    special = [k for k, v in case[1].items() if is_real(kinds[k]) and len(flat(v))]
+    other = {k: tuple(1.07 * v + 0.01 for v in flat(case[1][k])) for k in special}
+    return case[0], case[1] | {
+        k: v if isinstance(case[1][k], tuple) else v[0] for k, v in other.items()
+    }
+
+
+def fields_of(name: str) -> Any:
+    return parameters.parameters_of(models.registry[name])
+
+
+def is_real(kind: Any) -> bool:
+    return isinstance(kind, (parameters.Number, parameters.Vector))
+
+
+@pytest.mark.parametrize("case", MODELS, ids=model_id)
+def test_declared_scales_are_those_of_the_formula(case: Any) -> None:
+    """ff(s tau; p) = ff(tau; p s^-scales) for the declared scales, and for no others."""
+    tau = np.geomspace(0.02, 20, 25)
+    cases = [case]
+    if all(k not in ("tau", "ff") for k in case[1]):  # a table of other numbers is not convex
+        cases.append(nearby(case))
+    for one in cases:
+        model = models.create(one[0], **one[1])
+        fields = fields_of(one[0]).items()
+        kinds = {name: parameters.kind_of(field) for name, field in fields}
+        given = {n: getattr(model, f.name) for n, f in fields if is_real(kinds[n])}
+        given = {name: value for name, value in given.items() if flat(value)}
+        for name in [n for n in given if isinstance(given[n], tuple)]:
+            same = scaled(one, {name: 2.0}, tau)
+            evaluated = same is not None and np.allclose(same, model.ff(tau), rtol=1e-7, atol=1e-9)
+            assert evaluated == kinds[name].relative, name
+        names = [k for k in given if not kinds[k].relative and any(flat(given[k]))]
+        held = [k for k in names if kinds[k].scales]
+        declared = tuple(kinds[k].scales for k in names)
+        for scales in itertools.product((0, 1, -1), repeat=len(names)):
+            changes = {k: 2.0**-power for k, power in zip(names, scales, strict=True)}
+            other = scaled(one, changes, tau)
+            if other is None:
+                assert scales != declared
+                continue
+            symmetric = np.allclose(model.ff(2 * tau), other, rtol=1e-7, atol=1e-9)
+            assert symmetric == (scales == declared and (bool(held) or not model.sigma_bar))
+
+
+def test_without_a_declaration_no_scale_is_assumed() -> None:
+    @dataclasses.dataclass(frozen=True, eq=False)
+    class Own(models.registry["linear"]):  # type: ignore[misc]
+        b: Any = nonexp.parameter(1.0, above=0)
+
+    models.register(Own, "own")
+    try:
+        x = np.linspace(0.05, 1, 20)
+        result = models.fit("own", x, 1 - x / 2)
+        assert result.names == ("b", "sigma_t")
+        assert "b and sigma_t cannot be told apart by these data." in result.notes
+    finally:
+        del models.registry["own"]
+
+
 # ------------------------------------------------------------------------------- what is doubtful
 
 
@@ -348,7 +436,7 @@ def test_a_fit_prints_its_values_with_two_digits_of_the_error() -> None:
 def test_numbers_are_shown_to_two_digits_of_their_error(
     value: float, error: float | None, shown: tuple[str, str]
 ) -> None:
-    text = fitting._shown(value, error)
+    text = _shown(value, error)
     assert [word and float(word) if word[:1].isdigit() else word for word in text] == [
         word and float(word) if word[:1].isdigit() else word for word in shown
     ]
@@ -371,6 +459,32 @@ def test_the_xml_is_a_medium_with_the_fitted_transmittance(name: str) -> None:
         result.sigma_t == 1 and 'value="1.0"' in inside
     )
     assert f'type="transmittance_{name}"' in inside
+
+
+def test_a_fit_shows_itself_in_one_line_and_as_a_table() -> None:
+    result = models.fit("exponential_mixture", *gamma_data())
+    assert "\n" not in repr(result)
+    shown = result._repr_html_()
+    for name, value, error in result.rows():
+        assert f"<tr><td>{name}</td><td>{value}</td><td>" in shown and error in shown
+    ill = models.fit("hard_rod", *gamma_data())
+    assert ill.notes and all(f"<p>{note}</p>" in ill._repr_html_() for note in ill.notes)
+
+
+@pytest.mark.parametrize("what", ["fit", "plot", "custom", "numpy"])
+def test_an_llvm_that_would_abort_is_named(what: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(machine, "llvm_problem", lambda: "LLVM is version 15: install LLVM 17")
+    monkeypatch.setattr(dr, "has_backend", lambda backend: backend == dr.JitBackend.LLVM)
+    law = models.create("gamma")
+    calls: dict[str, Callable[[], Any]] = {
+        "fit": lambda: models.fit("gamma", X, Y),
+        "plot": lambda: plotting.plot_model(law),
+        "custom": lambda: models.create("custom", ff="nonexp.models.custom:wigner"),
+        "numpy": lambda: law.ff([0.5, 1]),
+    }
+    with pytest.raises(machine.MachineError, match="LLVM is version 15: install LLVM 17"):
+        calls[what]()
+    assert law.ff(0.5) == pytest.approx(1.25**-2)  # which needs none
 
 
 # ------------------------------------------------------------------------------- comparison
@@ -427,18 +541,92 @@ def test_standard_deviations_are_read(tmp_path: Path) -> None:
         assert (y.tolist(), sigma.tolist()) == ([0.4, 0.2], [0.01, 0.02])
 
 
+# What tables look like that other programs write; all of the same three points.
+OTHERS = {
+    "unsorted": "2,0.2\n0.5,0.6\n1,0.4\n",
+    "index of pandas": ",tau,ff\n0,0.5,0.6\n1,1.0,0.4\n2,2.0,0.2\n",
+    "index, other titles": ",a,b\n0,0.5,0.6\n1,1.0,0.4\n2,2.0,0.2\n",
+    "index, read again": "Unnamed: 0,x,y\n0,0.5,0.6\n1,1.0,0.4\n2,2.0,0.2\n",
+    "index of a selection": ",x,y\n3,0.5,0.6\n7,1.0,0.4\n8,2.0,0.2\n",
+    "index without titles": "0,0.5,0.6\n1,1.0,0.4\n2,2.0,0.2\n",
+    "index in tabs": "\ttau\tff\n0\t0.5\t0.6\n1\t1.0\t0.4\n2\t2.0\t0.2\n",
+    "rows of R": '"tau" "ff"\n"1" 0.5 0.6\n"2" 1 0.4\n"3" 2 0.2\n',
+    "decimal commas": "tau;ff\n0,5;0,6\n1;0,4\n2;0,2\n",
+    "decimal commas, blanks": "0,5 0,6\n1,0 0,4\n2,0 0,2\n",
+    "decimal commas, quotes": '"0,5","0,6"\n"1","0,4"\n"2","0,2"\n',
+    "units": "depth,transmittance\nmm,1\n0.5,0.6\n1,0.4\n2,0.2\n",
+    "units in brackets": "depth;transmittance\n[mm];[]\n0.5;0.6\n1;0.4\n2;0.2\n",
+    "text column": "a,0.5,0.6\nb,1,0.4\nc,2,0.2\n",
+    "text column, titles": "sample,tau,ff\na,0.5,0.6\nb,1,0.4\nc,2,0.2\n",
+    "other order": "transmittance,distance [mm]\n0.6,0.5\n0.4,1\n0.2,2\n",
+    "one title known": "T;tau\n0.6;0.5\n0.4;1\n0.2;2\n",
+    "other columns": "run,pf,ff,depth,sigma_t\n7,1,0.6,0.5,3\n7,.5,0.4,1,3\n7,.1,0.2,2,3\n",
+    "errors of the distance": "a,distance error,b\n0.5,.1,0.6\n1,.1,0.4\n2,.1,0.2\n",
+    "titles of savetxt": "# ff tau\n0.6 0.5\n0.4 1\n0.2 2\n",
+    "last separators": "tau,ff,\n0.5,0.6,\n1,0.4,\n2,0.2,\n",
+    "empty rows": "tau,ff\n0.5,0.6\n1,0.4\n2,0.2\n,\n,\n",
+}
+
+
+@pytest.mark.parametrize("case", OTHERS)
+def test_tables_of_other_programs_are_read(tmp_path: Path, case: str) -> None:
+    path = tmp_path / "data.csv"
+    path.write_text(OTHERS[case])
+    x, y, sigma = fitting.read_table(path)
+    assert (x.tolist(), y.tolist(), sigma) == ([0.5, 1, 2], [0.6, 0.4, 0.2], None)
+    law = models.create("tabulated", filename=path)  # it is the same reader
+    np.testing.assert_allclose(law.ff(x), y, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "title", ["sigma", "stderr", "std", "standard deviation", "ff_err", "Uncertainty (1 sd)"]
+)
+def test_standard_deviations_are_found_by_title(tmp_path: Path, title: str) -> None:
+    path = tmp_path / "data.csv"
+    path.write_text(f"{title},tau,ff\n.02,2,0.2\n.01,1,0.4\n")
+    x, y, sigma = fitting.read_table(path)
+    assert sigma is not None
+    assert (x.tolist(), y.tolist(), sigma.tolist()) == ([1, 2], [0.4, 0.2], [0.01, 0.02])
+
+
+def test_a_distance_that_counts_is_no_index(tmp_path: Path) -> None:
+    path = tmp_path / "data.csv"
+    for head in ("", "distance,ff,sigma\n", "depth,a,b\n"):
+        path.write_text(head + "0,1,.01\n1,.5,.02\n2,.3,.03\n")
+        x, y, sigma = fitting.read_table(path)
+        assert sigma is not None
+        assert (x.tolist(), y.tolist()) == ([0, 1, 2], [1, 0.5, 0.3])
+        assert sigma.tolist() == [0.01, 0.02, 0.03]
+
+
+def test_units_in_the_encoding_of_spreadsheets_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "data.csv"
+    path.write_bytes("depth;ff\nµm;\n0,5;0,6\n".encode("latin-1"))
+    assert fitting.read_table(path)[0].tolist() == [0.5]
+
+
 BAD_TABLES = {
-    "word": ("1,0.5\n2,half\n", "bad.csv, line 2: 'half' is not a number"),
-    "one column": ("1\n2\n", r"bad.csv, line 1: has 1 columns, it must have 2 or 3"),
-    "four columns": ("1 2 3 4\n", "line 1: has 4 columns"),
-    "ragged": ("1,0.5\n2,0.4,0.1\n", "line 2: has 3 columns, it must have 2 "),
-    "empty": ("# nothing\n", "bad.csv holds no numbers"),
-    "titles only": ("tau,ff\n", "bad.csv holds no numbers"),
-    "two lines of titles": ("tau,ff\nmm,1\n1,0.5\n", "line 2: 'mm' is not a number"),
-    "percent": ("tau,ff\n# in mm\n1,0.9\n2,50\n", "bad.csv, line 4: ff is 50, it must be a trans"),
-    "nan": ("1,nan\n", "bad.csv, line 1: ff is nan"),
-    "negative": ("1,0.5\n-2,0.6\n", "bad.csv, line 2: tau is -2"),
-    "sigma": ("1,0.5,0\n", "bad.csv, line 1: sigma is 0"),
+    "index alone": (",ff\n0,0.9\n1,0.5\n", "line 2 has 1 columns of numbers"),
+    "two distances": ("tau,depth,ff\n1,1,.5\n", "'tau' and 'depth' could both be tau"),
+    "named elsewhere": ("a,b,ff\n1,2,.5\n", "column 'ff' is ff, but no title says which is tau"),
+    "points and commas": ("0.5;0,6\n1.5;0,4\n", "decimal points and decimal commas"),
+    "commas between commas": ("0,5,0,6\n1,5,0,4\n", "line 1 has 4 columns of numbers"),
+    "missing": ("tau,ff\n1,\n2,0.5\n", "line 2 has '' for ff: it must be a number"),
+    "titles": ("tau,ff,a,b\n1,0.5\n", "line 2 has 2 columns, but there are 4 titles"),
+    "word": ("1,0.5\n2,half\n", "bad.csv: line 2 has 'half' for ff: it must be a number"),
+    "one column": ("1\n2\n", r"bad.csv: line 1 has 1 columns of numbers .* there must be 2 or 3"),
+    "four columns": ("1 2 3 4\n", "line 1 has 4 columns of numbers"),
+    "ragged": ("1,0.5\n2,0.4,0.1\n", "line 2 has 3 columns, line 1 has 2"),
+    "empty": ("# nothing\n", "bad.csv: it holds no numbers"),
+    "titles only": ("tau,ff\n", "bad.csv: it holds no numbers"),
+    "two lines of titles": ("tau,ff\nmm,1\nx,y\n1,0.5\n", "line 2 has 'mm' for tau: it must be"),
+    "percent": (
+        "tau,ff\n# in mm\n1,0.9\n2,50\n",
+        "bad.csv: line 4: ff is 50, .* ff is 'ff'",
+    ),
+    "nan": ("1,nan\n", "bad.csv: line 1: ff is nan"),
+    "negative": ("1,0.5\n-2,0.6\n", "bad.csv: line 2: tau is -2"),
+    "sigma": ("1,0.5,0\n", "bad.csv: line 1: sigma is 0"),
 }
 
 
@@ -451,19 +639,19 @@ def test_bad_tables_are_refused_with_the_line(tmp_path: Path, case: str) -> None
 
 
 def test_files_that_are_no_tables_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(OSError, match=r"'.*gone.csv' does not exist"):
+    with pytest.raises(OSError, match=r"gone\.csv: there is no such file"):
         fitting.read_table(tmp_path / "gone.csv")
-    with pytest.raises(OSError, match="is a folder"):
+    with pytest.raises(OSError, match="it is a folder"):
         fitting.read_table(tmp_path)
     (tmp_path / "image.csv").write_bytes(b"\x89PNG\xff")
-    with pytest.raises(ValueError, match=r"image\.csv is not a text file"):
+    with pytest.raises(ValueError, match=r"image\.csv: it is not a text file"):
         fitting.read_table(tmp_path / "image.csv")
     (tmp_path / "text.npz").write_text("1,0.5")
-    with pytest.raises(ValueError, match=r"text\.npz is not an NPZ file"):
+    with pytest.raises(ValueError, match=r"text\.npz: it is not an NPZ file"):
         fitting.read_table(tmp_path / "text.npz")
     np.savez(tmp_path / "names.npz", x=[1, 2], y=[0.5, 0.2])
-    with pytest.raises(ValueError, match=r"has the arrays x, y: it must have tau \(or distance\)"):
+    with pytest.raises(ValueError, match=r"names\.npz: it has the arrays x, y: it must have tau"):
         fitting.read_table(tmp_path / "names.npz")
     np.savez(tmp_path / "shape.npz", tau=[1, 2], ff=[0.5])
-    with pytest.raises(ValueError, match=r"shape.npz: ff has shape \(1,\)"):
+    with pytest.raises(ValueError, match=r"shape\.npz: ff has shape \(1,\): it must be \(2,\)"):
         fitting.read_table(tmp_path / "shape.npz")

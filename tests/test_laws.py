@@ -7,6 +7,9 @@ the statistics of samples are the subject of stability/.
 
 from __future__ import annotations
 
+import copy
+import pickle
+import xml.dom.minidom
 from typing import Any
 
 import drjit as dr
@@ -14,9 +17,11 @@ import numpy as np
 import pytest
 from arrays import with_arrays
 from build import MODELS, law, model_id
-from drjit.llvm.ad import Float, Float64
+from drjit.llvm.ad import PCG32, Float, Float64
 
+from nonexp.numerics.lookup import tables_in
 from nonexp.transmittance import Transmittance
+from nonexp.transmittance.kinds import parameters_of
 
 every_model = pytest.mark.parametrize("case", MODELS, ids=model_id)
 
@@ -149,6 +154,81 @@ def test_no_nan_from_nothing_to_infinity(case: Any, kernel: str) -> None:
     tau = Float([0, 1e-38, 1e-8, 1, 1e8, 1e30, 3e38, dr.inf])
     value = np.array(getattr(model, kernel)(tau))
     assert np.all(np.isfinite(value) & (value >= 0))
+
+
+@every_model
+@pytest.mark.parametrize("kernel", ["ff", "fp", "pf", "pp"])
+def test_numpy_arrays_and_lists_are_taken_as_they_are(case: Any, kernel: str) -> None:
+    function = getattr(law(case), kernel)
+    tau = np.linspace(0, 5, 12).reshape(3, 4)
+    values = function(tau)
+    assert type(values) is np.ndarray and values.dtype == np.float64 and values.shape == (3, 4)
+    wide = np.broadcast_to(np.array(function(Float64(tau.ravel()))), 12)
+    np.testing.assert_array_equal(values.ravel(), wide)
+    np.testing.assert_array_equal(function(tau.tolist()), values)
+    np.testing.assert_array_equal(function(tau.T), values.T)  # not contiguous
+    np.testing.assert_array_equal(function([0, 1]), function(np.array([0.0, 1.0])))
+    assert function([]).shape == (0,)
+    values[0, 0] = 2  # a copy of its own
+    for one in (np.float64(0.3), np.float32(0.3), np.array(0.3)):
+        assert np.ndim(function(one)) == 0
+        assert float(function(one)) == float(function(float(one)))
+    narrow, _ = with_arrays(law(case), Float)  # as a scene holds it
+    np.testing.assert_allclose(
+        getattr(narrow, kernel)(tau), wide.reshape(3, 4), rtol=2e-3, atol=1e-6
+    )
+
+
+@every_model
+@pytest.mark.parametrize("kernel", ["ff", "fp", "pf", "pp"])
+def test_what_is_no_optical_depth_is_refused(case: Any, kernel: str) -> None:
+    function = getattr(law(case), kernel)
+    for wrong, words in (
+        (-1, "tau is -1: an optical depth must be >= 0"),
+        (-0.5, "tau is -0.5"),
+        (np.float32(-2), "tau is -2"),
+        (np.array([1, -3.0]), "tau holds -3: an optical depth must be >= 0"),
+        ([1, -3, np.nan], "tau holds -3"),
+        ("far", "tau is 'far': it must be a number >= 0, or an array"),
+        (None, "tau is None: it must be"),
+        (1j, "tau is 1j: it must be"),
+        ([[1, 2], [3]], "tau is .*: it must be a number >= 0, or an array"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            function(wrong)
+    assert np.isnan(function([np.nan, 1.0])).tolist() == [True, False]
+    assert np.isnan(function(np.nan))
+
+
+@every_model
+def test_laws_are_copied_and_pickled_with_their_tables(case: Any) -> None:
+    model = law(case)
+    tau = Float64(depths(model))
+    fresh = len(pickle.dumps(model))
+    for _ in range(2):  # before and after kernels have made arrays of their own
+        for copied in (copy.deepcopy(model), pickle.loads(pickle.dumps(model))):
+            assert type(copied) is type(model) and repr(copied) == repr(model)
+            assert len(list(tables_in(copied))) == len(list(tables_in(model)))
+            for name in ("ff", "fp", "pf", "pp"):
+                values = getattr(copied, name)(tau), getattr(model, name)(tau)
+                np.testing.assert_array_equal(*map(np.array, values))
+            for name in ("sample_f", "sample_p"):
+                numbers = [PCG32(64, 3).next_float32 for _ in range(2)]
+                draws = getattr(copied, name)(numbers[0]), getattr(model, name)(numbers[1])
+                np.testing.assert_array_equal(*map(np.array, draws))
+        assert len(pickle.dumps(model)) == fresh  # without these
+
+
+@every_model
+def test_a_law_shows_itself_in_one_line_and_as_a_table(case: Any) -> None:
+    model = law(case)
+    assert "\n" not in repr(model)
+    shown = model._repr_html_()
+    assert f"<b>{type(model).__name__}: T = " in shown.replace("&#x27;", "'")
+    for name, field in parameters_of(model).items():
+        assert f"<tr><td>{name}</td>" in shown, field
+    assert len(shown) < 3000  # also of long tables
+    xml.dom.minidom.parseString(f"<div>{shown}</div>")
 
 
 def kernels(model: Transmittance, tau: Any) -> Any:

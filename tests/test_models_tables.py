@@ -18,6 +18,7 @@ from build import FURNACE, ball, beam, medium, scene
 from drjit.llvm.ad import PCG32, Float, Float64
 from scipy import special, stats
 
+import nonexp
 from nonexp import models
 from nonexp.models.custom import Custom, wigner
 from nonexp.models.tabulated import Tabulated
@@ -26,6 +27,10 @@ from nonexp.transmittance.piecewise import Curve, Piecewise, hermite
 
 FALSE_ALARM = 1e-6
 PACKING = Path(__file__).resolve().parent.parent / "scenes" / "media" / "packing.csv"
+
+
+def tabulated(**parameters: Any) -> Any:
+    return models.create("tabulated", **parameters)
 
 
 def exponential(tau: Any) -> Any:
@@ -47,22 +52,22 @@ class Free(Piecewise):
         object.__setattr__(self, "given", Curve(np.array(knots), np.array(slope), rest))
         self.prepare()
 
-    def fit(self) -> Curve:
+    def make_curve(self) -> Curve:
         return self.given  # type: ignore[attr-defined, no-any-return]
 
 
 LAWS: dict[str, Piecewise] = {
-    "hard core": Tabulated(**Tabulated.examples[0]),
-    "straight": Tabulated(**Tabulated.examples[1]),
-    "ends": Tabulated(**Tabulated.examples[2]),
-    "packing": Tabulated(filename=str(PACKING)),
+    "hard core": tabulated(**Tabulated.examples[0]),
+    "straight": tabulated(**Tabulated.examples[1]),
+    "ends": tabulated(**Tabulated.examples[2]),
+    "packing": tabulated(filename=str(PACKING)),
     "wigner": Custom(wigner),
     "heavy tail": Custom(gamma(0.3)),
     "step inside": Custom(lambda tau: 0.4 * ramp(tau / 0.3) + 0.6 * dr.exp(-tau)),
     "plateau": Custom(lambda tau: 0.3 + 0.7 * dr.exp(-tau)),
     "atom and plateau": Custom(lambda tau: 0.25 + 0.75 * ramp(tau / 0.7)),
-    "early knots": Tabulated(tau=(1e-9, 3e-9, 1.0, 9.0), ff=(1 - 2e-9, 1 - 6e-9, 0.4, 1e-12)),
-    "far knots": Tabulated(tau=(1e6, 1e7, 1e8), ff=(0.3, 0.01, 1e-6)),
+    "early knots": tabulated(tau=(1e-9, 3e-9, 1.0, 9.0), ff=(1 - 2e-9, 1 - 6e-9, 0.4, 1e-12)),
+    "far knots": tabulated(tau=(1e6, 1e7, 1e8), ff=(0.3, 0.01, 1e-6)),
     "steep": Free([0, 1, np.nextafter(np.float32(1), 2), 3, 4], [1, 1, 1e-3, 1e-5, 1e-12], 1e-20),
 }
 every_law = pytest.mark.parametrize("name", LAWS)
@@ -254,9 +259,9 @@ def test_tables_of_one_size_share_a_kernel() -> None:
 
     tau = np.linspace(0.1, 4, 24)
     for kind in (Float, Float64):
-        a = Tabulated(tau=tau, ff=np.exp(-1.1 * tau))
-        b = Tabulated(tau=tau[:-2], ff=np.exp(-tau[:-2]))
-        c = Tabulated(tau=tau[:5], ff=np.exp(-tau[:5]))
+        a = tabulated(tau=tau, ff=np.exp(-1.1 * tau))
+        b = tabulated(tau=tau[:-2], ff=np.exp(-tau[:-2]))
+        c = tabulated(tau=tau[:5], ff=np.exp(-tau[:5]))
         assert len(a._curve.knots) != len(b._curve.knots)
         assert kernels(a, kind) == kernels(b, kind) != kernels(c, kind)
 
@@ -291,7 +296,7 @@ def test_the_fit_tends_to_the_law_as_rows_get_closer(name: str) -> None:
     for rows in (13, 25, 49, 97):
         tau = np.linspace(0, end, rows)
         h = tau[1]
-        law = Tabulated(tau=tau, ff=ff(tau))
+        law = tabulated(tau=tau, ff=ff(tau))
         np.testing.assert_allclose(law.ff(Float64(tau)), ff(tau), rtol=1e-6, atol=1e-15)
         ends = name == "quadratic"
         assert np.max(np.abs(np.array(law.ff(Float64(x))) - ff(x))) < (
@@ -304,33 +309,33 @@ def test_the_fit_tends_to_the_law_as_rows_get_closer(name: str) -> None:
 def test_straight_tables_are_the_linear_law() -> None:
     for rows in (2, 3, 8):
         tau = np.linspace(0, 1.5, rows)
-        law = Tabulated(tau=tau, ff=1 - tau / 1.5)
+        law = tabulated(tau=tau, ff=1 - tau / 1.5)
         assert law.atoms == ((1.5, pytest.approx(1, rel=1e-12)),)
         assert law.sigma_bar == pytest.approx(1 / 1.5, rel=1e-12)
         assert law.sample_p(lambda: 0.25) == 1.5
         assert law.ff(0.5) == pytest.approx(2 / 3, rel=1e-12)
         assert law.pf(1.5) == 0
-    straight_then_curved = Tabulated(tau=(0.25, 0.5, 1, 2), ff=(0.75, 0.5, 0.25, 0.06))
+    straight_then_curved = tabulated(tau=(0.25, 0.5, 1, 2), ff=(0.75, 0.5, 0.25, 0.06))
     assert straight_then_curved.pf(0.4) == 1
     assert straight_then_curved.sigma_bar == 1
 
 
 def test_the_table_goes_on_as_its_end_suggests() -> None:
     tau = np.array([0.5, 1.0, 1.5])
-    law = Tabulated(tau=tau, ff=np.exp(-tau))
+    law = tabulated(tau=tau, ff=np.exp(-tau))
     assert law.ff(10.0) == pytest.approx(math.exp(-10), rel=1e-9)
-    two = Tabulated(tau=(0, 2), ff=(1, math.exp(-3)))
+    two = tabulated(tau=(0, 2), ff=(1, math.exp(-3)))
     assert two.sigma_bar == pytest.approx(1.5)
     assert two.ff(4.0) == pytest.approx(math.exp(-6), rel=1e-9)
 
-    flat = Tabulated(tau=(0, 1, 2, 3), ff=(1, 0.5, 0.4, 0.4))
+    flat = tabulated(tau=(0, 1, 2, 3), ff=(1, 0.5, 0.4, 0.4))
     assert flat.ff(math.inf) == flat.ff(2.0) == pytest.approx(0.4)
     assert flat.pf(2.0) == 0
     draws = np.array(flat.sample_f(PCG32(2**18, 3).next_float32))
     assert stats.binomtest(int(np.isinf(draws).sum()), len(draws), 0.4).pvalue > FALSE_ALARM
     assert np.all(np.isfinite(np.array(flat.sample_p(PCG32(2**18, 4).next_float32))))
 
-    over = Tabulated(tau=(0, 1, 2, 3), ff=(1, 0.25, 0, 0))
+    over = tabulated(tau=(0, 1, 2, 3), ff=(1, 0.25, 0, 0))
     assert over.ff(2.0) == over.pf(2.0) == 0
 
 
@@ -347,10 +352,10 @@ def test_the_table_goes_on_as_its_end_suggests() -> None:
 def test_text_tables(content: str, tmp_path: Path) -> None:
     path = tmp_path / "law.csv"
     path.write_text(content, encoding="utf-8", newline="")
-    law = Tabulated(filename=str(path))
-    direct = Tabulated(tau=(0.5, 1, 2), ff=(0.6, 0.37, 0.13))
+    law = tabulated(filename=str(path))
+    direct = tabulated(tau=(0.5, 1, 2), ff=(0.6, 0.37, 0.13))
     assert law.sigma_bar == direct.sigma_bar
-    assert Tabulated(filename=path).ff(0.7) == law.ff(0.7) == direct.ff(0.7)
+    assert tabulated(filename=path).ff(0.7) == law.ff(0.7) == direct.ff(0.7)
 
 
 def test_archives(tmp_path: Path) -> None:
@@ -358,28 +363,36 @@ def test_archives(tmp_path: Path) -> None:
     for dtype in (np.float64, np.float32):
         tau = np.linspace(0, 3, 3001).astype(dtype)  # rounded numbers do not lie straight
         np.savez(path, tau=tau, ff=1 - tau / dtype(3))
-        law = Tabulated(filename=str(path))
+        law = tabulated(filename=str(path))
         assert law.ff(1.5) == pytest.approx(0.5, abs=1e-6)
         assert law.sigma_bar == pytest.approx(1 / 3, rel=1e-3)
     np.savez(path, tau=tau)
-    with pytest.raises(ValueError, match=r"its arrays are tau: it must hold tau and ff"):
-        Tabulated(filename=str(path))
+    with pytest.raises(
+        ValueError, match=r"it has the arrays tau: it must have tau \(or distance\) and ff"
+    ):
+        tabulated(filename=str(path))
     np.savez(path, tau=tau, ff=tau[1:])
-    with pytest.raises(ValueError, match=r"tau has 3001 entries and ff 3000"):
-        Tabulated(filename=str(path))
+    with pytest.raises(ValueError, match=r"ff has shape \(3000,\): it must be \(3001,\)"):
+        tabulated(filename=str(path))
     np.savez(path, tau=[0, 1, 2], ff=[1, 0.2, 0.3])
     with pytest.raises(ValueError, match=r"row 3 has ff = 0.3 at tau = 2: it must not be above"):
-        Tabulated(filename=str(path))
+        tabulated(filename=str(path))
     path.write_bytes(b"PK not an archive")
-    with pytest.raises(ValueError, match="it must be a text file"):
-        Tabulated(filename=str(path))
+    with pytest.raises(ValueError, match="it is not an NPZ file of numbers"):
+        tabulated(filename=str(path))
 
 
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("tau,ff\n0,1\n1,.5\n.5,.4\n", "line 4 has ff = 0.4 at tau = 0.5: tau must be greater"),
-        ("0,1\n1,.5\n1,.4\n", "line 3 has ff = 0.4 at tau = 1: tau must be greater than in line 2"),
+        (
+            "tau,ff\n0,1\n1,.5\n.5,.4\n",
+            "line 3 has ff = 0.5 at tau = 1: it must not be above line 4",
+        ),
+        (
+            "0,1\n1,.5\n1,.4\n",
+            "line 3 has ff = 0.4 at tau = 1: tau must not be the same as in line 2",
+        ),
         ("0,1\n1,.5\n2,.6\n3,.1", "line 3 has ff = 0.6 at tau = 2: it must not be above line 2"),
         ("#\n0,1\n1,.8\n2,.1\n3,0", "line 3 has ff = 0.8 at tau = 1: the table must be convex"),
         ("1,.2\n2,.19\n\n3,.1\n4,.09", "line 2 has ff = 0.19 at tau = 2: .* at most 0.15"),
@@ -389,10 +402,10 @@ def test_archives(tmp_path: Path) -> None:
         ("0,1.1\n1,.1\n", "line 1 has ff = 1.1 at tau = 0: ff must be in"),
         ("0,.9\n1,.1\n", "line 1 has ff = 0.9 at tau = 0: at tau = 0 it must be 1"),
         ("-1,1\n1,.1\n", "line 1 has ff = 1 at tau = -1: tau must be 0, or in"),
-        ("0,1\n1,.1,3\n", "line 2 is '1,.1,3': it must hold two numbers"),
-        ("0,1\n1 half\n", "line 2 is '1 half': it must hold two numbers"),
-        ("tau,ff\nm,1\n", "line 2 is 'm,1': it must hold two numbers"),
-        ("", "there are 0 rows: there must be at least 2"),
+        ("0,1\n1,.1,3\n", "line 2 has 3 columns, line 1 has 2"),
+        ("0,1\n1 half\n", "line 2 has 'half' for ff: it must be a number"),
+        ("tau,ff\nm,1\n", "line 2 has 'm' for tau: it must be a number"),
+        ("", "it holds no numbers"),
         ("1,.5", "there are 1 rows: there must be at least 2"),
         ("0,1\n1,1\n2,1\n", "ff is 1 in all rows: use the model constant"),
     ],
@@ -401,34 +414,71 @@ def test_bad_tables_are_refused_with_the_row(content: str, message: str, tmp_pat
     path = tmp_path / "law.csv"
     path.write_text(content, encoding="utf-8")
     with pytest.raises(ValueError, match=message) as error:
-        Tabulated(filename=str(path))
+        tabulated(filename=str(path))
     assert str(error.value).startswith(f"Tabulated.filename is {str(path)!r}: ")
 
 
 def test_other_bad_input_of_tabulated(tmp_path: Path) -> None:
     both = "Tabulated needs either a filename or both tau and ff"
     with pytest.raises(ValueError, match=both):
-        Tabulated()
+        tabulated()
     with pytest.raises(ValueError, match=both):
-        Tabulated(filename=str(PACKING), tau=(0, 1), ff=(1, 0))
-    with pytest.raises(ValueError, match=r"Tabulated\.ff: tau has 2 entries and ff 0"):
-        Tabulated(tau=(0, 1))
+        tabulated(filename=str(PACKING), tau=(0, 1), ff=(1, 0))
+    with pytest.raises(ValueError, match=r"Tabulated\.ff: ff has shape \(0,\): it must be \(2,\)"):
+        tabulated(tau=(0, 1))
     with pytest.raises(ValueError, match=r"Tabulated\.ff: row 2 has ff = 0.9 at tau = 1: the"):
-        Tabulated(tau=(0, 1, 2), ff=(1, 0.9, 0))
+        tabulated(tau=(0, 1, 2), ff=(1, 0.9, 0))
     with pytest.raises(ValueError, match=r"is '.*nowhere\.csv': there is no such file"):
-        Tabulated(filename=str(tmp_path / "nowhere.csv"))
-    with pytest.raises(ValueError, match="it must be a text file"):
-        Tabulated(filename=str(tmp_path))
+        tabulated(filename=str(tmp_path / "nowhere.csv"))
+    with pytest.raises(ValueError, match="it is a folder, not a table"):
+        tabulated(filename=str(tmp_path))
     (tmp_path / "image.csv").write_bytes(b"\x89PNG\xff\xfe\0")
-    with pytest.raises(ValueError, match="it must be a text file"):
-        Tabulated(filename=str(tmp_path / "image.csv"))
+    with pytest.raises(ValueError, match="it is not a text file"):
+        tabulated(filename=str(tmp_path / "image.csv"))
+
+
+def test_a_measured_table_is_a_law_within_its_noise() -> None:
+    """A noisy table with standard deviations becomes the convex curve nearest to it."""
+    path = PACKING.parent.parent.parent / "examples" / "measured.csv"
+    distance, ff, sigma = nonexp.fitting.read_table(path)
+    assert sigma is not None
+    law = tabulated(filename=str(path))
+    off = (law.ff(distance) - ff) / sigma
+    assert 0.1 < np.abs(off).max() < 3
+    tau = np.linspace(0, 2 * distance[-1], 2000)
+    assert np.all(np.diff(law.ff(tau), 2) > -1e-12)
+    fit = models.fit("hard_rod", distance, ff, sigma=sigma)
+    assert law.sigma_bar == pytest.approx(fit.extinction, rel=0.1)
+    with pytest.raises(ValueError, match="the table must be convex"):
+        tabulated(tau=distance, ff=ff)
+
+
+def test_noise_does_not_excuse_what_is_no_law(tmp_path: Path) -> None:
+    path = tmp_path / "law.csv"
+    tau = np.linspace(0.25, 4, 16)
+    np.savetxt(path, np.stack([tau, np.exp(-tau), np.full(16, 1e-3)], axis=1))
+    smooth = tabulated(filename=path)  # convex as it is: not moved
+    np.testing.assert_allclose(smooth.ff(tau), np.exp(-tau), rtol=1e-6)
+    arc = np.cos(tau / 4) + 1e-3 * np.random.default_rng(1).normal(size=16)
+    np.savetxt(path, np.stack([tau, arc, np.full(16, 1e-3)], axis=1))
+    with pytest.raises(ValueError, match=r"line \d+ has .* 5 standard deviations .* away"):
+        tabulated(filename=path)
+    path.write_text("1,.5,.1\n2,.4,0\n3,.45,.1\n")
+    with pytest.raises(ValueError, match="line 2: sigma is 0, it must be"):
+        tabulated(filename=path)
+
+
+def test_one_depth_measured_twice_is_one_row_of_the_law(tmp_path: Path) -> None:
+    path = tmp_path / "law.csv"
+    path.write_text("1,.5,.01\n1,.52,.01\n2,.25,.01\n")
+    assert tabulated(filename=path).ff(1.0) == pytest.approx(0.51, abs=1e-3)
 
 
 def test_a_dense_table_that_is_slightly_concave_is_refused() -> None:
     """No row is far above its neighbours' line, but the arc is."""
     tau = np.linspace(0, 1, 4001)
     with pytest.raises(ValueError, match=r"row \d+ has .*the table must be convex"):
-        Tabulated(tau=tau, ff=1 - tau / 2 - 1e-4 * tau**2)
+        tabulated(tau=tau, ff=1 - tau / 2 - 1e-4 * tau**2)
 
 
 # ------------------------------------------------------------------------------- custom
@@ -489,7 +539,7 @@ def test_tables_are_made_quickly() -> None:
     Custom(exponential)  # compiles what all share
     start = time.perf_counter()
     for name in ("heavy tail", "step inside", "plateau"):
-        Custom(LAWS[name].ff.given)
+        Custom(LAWS[name].function)
     assert (time.perf_counter() - start) / 3 < 0.3
 
 
@@ -562,11 +612,12 @@ def test_the_function_is_still_known() -> None:
         "type": "transmittance_custom",
         "ff": "nonexp.models.custom:wigner",
     }
-    again = Custom(law.ff)  # not a table of a table
+    again = Custom(law.function)  # not a table of a table
     np.testing.assert_array_equal(again._curve.slope, law._curve.slope)
-    table = Tabulated(**Tabulated.examples[0])
-    assert tuple(table.ff) == Tabulated.examples[0]["ff"]
-    assert "ff=(0.875, 0.75" in repr(table)
+    table = tabulated(**Tabulated.examples[0])
+    assert table.values == Tabulated.examples[0]["ff"]
+    assert "values=(0.875, 0.75" in repr(table)
+    assert models.to_dict(table)["ff"].startswith("0.875, 0.75")
     texture = mi.load_dict(models.to_dict(table))
     assert texture.model.sigma_bar == table.sigma_bar
 
@@ -657,4 +708,4 @@ def test_light_that_crosses(variant: str) -> None:
 
 def test_messages_name_the_field_like_other_models() -> None:
     with pytest.raises(ValueError, match=re.escape("Tabulated.tau[1] is -1: it must be")):
-        Tabulated(tau=(0, -1), ff=(1, 0))
+        tabulated(tau=(0, -1), ff=(1, 0))

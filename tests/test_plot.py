@@ -139,7 +139,7 @@ def test_a_fit_is_drawn_with_its_residuals() -> None:
 )
 def test_figures_are_saved_by_suffix(tmp_path: Path, suffix: str, start: bytes) -> None:
     path = tmp_path / f"figure.{suffix}"
-    plotting.check(path)
+    plotting.check_path(path)
     plotting.save(Figure(), path)
     assert path.read_bytes().startswith(start)
     assert list(tmp_path.iterdir()) == [path]

@@ -1,7 +1,7 @@
 """Error, bias, slope and efficiency, from independent passes and a reference.
 
 Notation: ``x_k`` (k = 1 ... N) are the images of independent passes, ``r`` the reference with
-known standard error per pixel, all errors are averaged over pixels and channels with weights ``w``
+known standard error per pixel. All errors are averaged over pixels and channels with weights ``w``
 (1 for the MSE, 1/(r^2 + (0.1 mean r)^2) for the relMSE). With ``G_kl = mean w (x_k - r)(x_l - r)``
 
 * ``D``, the mean of ``G_kk``, estimates variance + bias^2 + variance of the reference,
@@ -95,7 +95,7 @@ class Bias:
 
 @dataclass(frozen=True)
 class Figures:
-    """What passes say: seconds per pass (quartiles), error over time, and so on.
+    """Results of the passes: seconds per pass (quartiles), error over time, and so on.
 
     ``variance`` is the MSE of a single pass without bias; ``efficiency`` is 1/(variance * median
     time) in 1/s, ``slope`` the exponent of the MSE over the number of passes: -1 without bias.
@@ -173,8 +173,8 @@ def _group_errors(gram: Array, n: int) -> Array:
 def fit_slope(gram: Array, noise: float = 0.0, noise_stderr: float = 0.0) -> Estimate:
     """Slope of log MSE(n) over log n for n = 1, 2, 4 ... N, by least squares.
 
-    The interval is that of the jackknife over passes, widened by what the reference's own noise
-    may do. MSE(n) is the unbiased estimate over all groups of n passes.
+    The interval is that of the jackknife over passes, widened by the effect of the reference's own
+    noise. MSE(n) is the unbiased estimate over all groups of n passes.
     """
     count = len(gram)
     total, diagonal, rows = gram.sum(), np.diag(gram), gram.sum(axis=1)
@@ -208,11 +208,20 @@ def _efficiency(squares: Array, seconds: Array, seed: int) -> Estimate:
     """1/(variance * median time), with its bootstrap interval over passes."""
     if not np.any(squares > 0):
         return Estimate(math.inf, math.inf, math.inf)
-    value = 1 / (squares.mean() * np.median(seconds))
-    draws = np.random.default_rng(seed).integers(0, len(squares), (2000, len(squares)))
-    again = 1 / (squares[draws].mean(axis=1) * np.median(seconds[draws], axis=1))
-    low, high = np.quantile(again, [0.5 - LEVEL / 2, 0.5 + LEVEL / 2])
-    return Estimate(float(value), float(low), float(high))
+
+    def efficiency(squares: Array, seconds: Array, axis: int = -1) -> Array:
+        return 1 / (squares.mean(axis) * np.median(seconds, axis))
+
+    low, high = stats.bootstrap(
+        (squares, seconds),
+        efficiency,
+        paired=True,
+        n_resamples=2000,
+        confidence_level=LEVEL,
+        method="percentile",
+        random_state=np.random.default_rng(seed),
+    ).confidence_interval
+    return Estimate(float(efficiency(squares, seconds)), float(low), float(high))
 
 
 # --------------------------------------------------------------------- bias

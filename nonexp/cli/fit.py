@@ -90,7 +90,7 @@ def _fit(options: argparse.Namespace, console: Console) -> None:
 
     if options.output is not None:
         plotting.require()
-        plotting.check(options.output)
+        plotting.check_path(options.output)
     tau, ff, sigma = fitting.read_table(options.data)
     every = not options.models or "all" in options.models
     names = models.names() if every else list(dict.fromkeys(options.models))
@@ -123,9 +123,9 @@ def _fit(options: argparse.Namespace, console: Console) -> None:
 
 def _check_known(names: Iterable[str], given: Iterable[str]) -> None:
     """Not every model must have each parameter, but one at least."""
-    from ..fitting import problem as leastsquares
+    from ..fitting.problem import kinds_of
 
-    known = {key for name in names for key in leastsquares.fields_of(name)}
+    known = {key for name in names for key in kinds_of(name)}
     for parameter in given:
         if parameter not in known:
             raise ValueError(f"none of the models to fit has a parameter {parameter!r}")

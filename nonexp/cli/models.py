@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import inspect
 from typing import Any
 
@@ -32,7 +31,7 @@ def _models(_options: argparse.Namespace) -> int:
     for name in models.names():
         cls = models.registry[name]
         law = (inspect.getdoc(cls) or "").partition("\n")[0]
-        fields = [parameters.describe(field) for field in dataclasses.fields(cls)]  # type: ignore[arg-type]
+        fields = [parameters.describe(field) for field in parameters.parameters_of(cls).values()]
         sigma_bar = f"{models.create(name, **cls.examples[0]).sigma_bar:.6g}"
         separator = "\n" if console.is_terminal else ", "
         row = (name, law, separator.join(fields) or "none", sigma_bar)

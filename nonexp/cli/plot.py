@@ -59,7 +59,7 @@ def _plot(options: argparse.Namespace) -> int:
     with one_sentence():
         model = models.create(options.model, **values(options.parameters))
         plotting.require()
-        plotting.check(path)
+        plotting.check_path(path)
         plotting.save(plotting.plot_model(model), path)
     print(path)
     return 0

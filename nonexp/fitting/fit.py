@@ -17,9 +17,10 @@ import numpy.typing as npt
 from .. import models
 from ..models import _notation as notation
 from ..transmittance import Transmittance
-from ..transmittance import columns as measurements
-from ..transmittance.columns import read_table
-from .problem import EXACT, SCANNED, Task, backend, each, fields_of
+from ..transmittance.columns import check_measured, read_table
+from ..transmittance.kinds import number
+from ..transmittance.shown import html_table
+from .problem import EXACT, SCANNED, Problem, each, kinds_of
 
 __all__ = ["Fit", "compare", "fit", "read_table"]
 
@@ -28,7 +29,7 @@ Array = npt.NDArray[np.float64]
 
 @dataclasses.dataclass(frozen=True, repr=False, eq=False)
 class Fit:
-    """A model fitted to a transmittance. ``print(fit)`` shows it as a table."""
+    """A model fitted to a transmittance. ``print(fit)`` and Jupyter show it as a table."""
 
     name: str
     """key of the model"""
@@ -61,13 +62,11 @@ class Fit:
     @property
     def extinction(self) -> float:
         """Mean extinction per unit of distance, ``sigma_t * model.sigma_bar``."""
-        return self.sigma_t * float(self.model.sigma_bar)
+        return self.sigma_t * number(self.model.sigma_bar)
 
     def ff(self, distance: Any) -> Array:
         """The fitted transmittance over distance."""
-        x = np.atleast_1d(np.asarray(distance, dtype=np.float64))
-        values = np.array(self.model.ff(backend().Float64(self.sigma_t * x.ravel())))
-        return values.reshape(np.shape(distance))
+        return np.asarray(self.model.ff(self.sigma_t * np.asarray(distance, dtype=np.float64)))
 
     def to_xml(self, indent: str = "") -> str:
         """The lines of a medium in a scene: extinction per scene unit, and transmittance."""
@@ -77,7 +76,7 @@ class Fit:
             if isinstance(value, (float, tuple))
         }
         try:
-            model = dataclasses.replace(self.model, **short)  # type: ignore[type-var]
+            model = models.create(self.name, **{**self.parameters, **short})
         except ValueError:
             model = self.model
         sigma_t = f'{indent}<float name="sigma_t" value="{_rounded(self.sigma_t)!r}"/>\n'
@@ -98,13 +97,21 @@ class Fit:
                     rows.append((f"{name}[{i}]", *_shown(*pair)))
         return rows
 
+    @property
+    def _title(self) -> str:
+        return f"{self.name}, fitted to {self.points} points: rms residual {self.residual:.3g}"
+
     def __str__(self) -> str:
-        lines = [f"{self.name}, fitted to {self.points} points: rms residual {self.residual:.3g}"]
+        lines = [self._title]
         rows = self.rows()
         widths = [max(len(row[i]) for row in rows) for i in (0, 1)]
         for name, value, error in rows:
             lines.append(f"  {name:{widths[0]}}  {value:>{widths[1]}} {_signed(error)}".rstrip())
         return "\n".join([*lines, *(f"  {note}" for note in self.notes)])
+
+    def _repr_html_(self) -> str:
+        rows = [(name, value, _signed(error)) for name, value, error in self.rows()]
+        return html_table(self._title, ("parameter", "value", "standard error"), rows, self.notes)
 
     def __repr__(self) -> str:
         shown = ", ".join(f"{name}={value} {_signed(error)}" for name, value, error in self.rows())
@@ -149,16 +156,16 @@ def fit(
     Raises ``ValueError`` for an unknown model or parameter, data that are no transmittance, fewer
     data than fitted quantities, and a model without any.
     """
-    x, y, deviations = measurements.check(tau, ff, sigma)
+    x, y, deviations = check_measured(tau, ff, sigma)
     held = isinstance(sigma_t, Real) and 0 < float(sigma_t) < math.inf
     if not held and sigma_t not in ("auto", "fit"):
         raise ValueError(f"sigma_t is {sigma_t!r}: it must be a finite number > 0, 'auto' or 'fit'")
-    task = Task(model, x, y, deviations, sigma_t, dict(start or {}), dict(fixed or {}))
-    if len(x) < task.count:
+    problem = Problem.of(model, x, y, deviations, sigma_t, start or {}, fixed or {})
+    if len(x) < problem.count:
         raise ValueError(
-            f"{model} has {task.count} parameters to fit, more than there are points ({len(x)})"
+            f"{model} has {problem.count} parameters to fit, more than there are points ({len(x)})"
         )
-    return _result(task)
+    return _result(problem)
 
 
 def compare(
@@ -175,10 +182,10 @@ def compare(
     The options are those of :func:`fit`; each model takes of ``start`` and ``fixed`` what it has.
     Raises ``ValueError`` for data that are no transmittance.
     """
-    measurements.check(tau, ff, options.get("sigma"))
+    check_measured(tau, ff, options.get("sigma"))
     fits, refused = [], {}
     for name in names:
-        known = fields_of(name)
+        known = kinds_of(name)
         own = [{k: v for k, v in (some or {}).items() if k in known} for some in (start, fixed)]
         try:
             fits.append(fit(name, tau, ff, start=own[0], fixed=own[1], **options))
@@ -187,35 +194,36 @@ def compare(
     return sorted(fits, key=lambda result: result.aic), refused
 
 
-def _result(task: Task) -> Fit:
-    solution = task.scan()
-    values, sigma_t = task.reported(solution, solution.at)
-    covariance, flat, notes = task.uncertainty(solution)
+def _result(problem: Problem) -> Fit:
+    solution = problem.solve()
+    values, sigma_t = problem.reported(solution)
+    found = problem.errors(solution)
+    flat, notes = found.standard, list(found.notes)
     errors = {
         name: tuple(flat[f"{name}[{i}]"] for i in range(len(values[name])))
         if isinstance(values[name], tuple)
         else flat[name]
-        for name in task.free
+        for name in problem.free
     }
     errors |= {name: flat[name] for name in ("sigma_t", "extinction") if name in flat}
-    for name in task.whole:
+    for name in problem.whole:
         if values[name] == SCANNED[-1]:
             notes.append(f"{name} = {values[name]} is the largest that was tried.")
 
-    n, k = len(task.x), task.count
-    if task.deviations is None:
+    n, k = len(problem.x), problem.count
+    if problem.deviations is None:
         aic = n * math.log(max(solution.chi2 / n, EXACT**2)) + 2 * k
     else:
         aic = solution.chi2 + 2 * k
-    difference = task.transmittance(values, sigma_t * task.x) - task.y
+    difference = problem.transmittance(values, sigma_t * problem.x) - problem.y
     return Fit(
-        name=task.name,
-        model=models.create(task.name, **values),
+        name=problem.name,
+        model=models.create(problem.name, **values),
         sigma_t=sigma_t,
         parameters=values,
         errors=errors,
         residual=float(np.sqrt(np.mean(difference**2))),
-        covariance=covariance[:-1, :-1],
+        covariance=found.covariance[:-1, :-1],
         names=tuple(flat)[:-1],
         chi2=solution.chi2,
         aic=aic,

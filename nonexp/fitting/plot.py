@@ -1,8 +1,7 @@
-"""Figures of a model and of fits to data, with matplotlib (the extra ``plot``)."""
+"""Figures of a model, and of fits beside their data, with matplotlib (the extra ``plot``)."""
 
 from __future__ import annotations
 
-import dataclasses
 import inspect
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,19 +12,21 @@ import numpy.typing as npt
 
 from .. import models
 from ..system.files import check_writable, replacing
+from ..system.machine import array_types
 from ..transmittance import Transmittance
+from ..transmittance.kinds import number, parameters_of
+from ..transmittance.shown import brief
 from .fit import Fit
-from .problem import backend
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["STYLE", "check", "plot_fit", "plot_model", "require", "save"]
+__all__ = ["STYLE", "check_path", "plot_fit", "plot_model", "require", "save"]
 
 Array = npt.NDArray[np.float64]
 
-# Okabe and Ito's colours, which colour-blind people can tell apart.
+# The palette of Okabe and Ito, safe for colour blindness.
 BLUE, ORANGE, GREEN, PURPLE, GREY = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#666666"
 _COLOURS = (ORANGE, BLUE, GREEN, PURPLE, "#E69F00", "#56B4E9")
 _STYLES = ("-", "--", "-.", ":")
@@ -54,7 +55,7 @@ def require() -> None:
         ) from None
 
 
-def check(path: Path) -> None:
+def check_path(path: Path) -> None:
     """Raise ``ValueError`` or ``OSError`` unless a figure can be written there."""
     if path.suffix.lower() not in _SUFFIXES:
         raise ValueError(f"output is {str(path)!r}: it must end in {', '.join(_SUFFIXES)}")
@@ -111,18 +112,17 @@ class _Law:
 
     def __init__(self, model: Transmittance) -> None:
         self.model = model
-        self.sigma_bar = _number(model.sigma_bar)
+        self.sigma_bar = number(model.sigma_bar)
         self.mean = 1 / self.sigma_bar if self.sigma_bar else 1.0
-        self.kinks = np.array([_number(kink) for kink in model.kinks])
-        self.atoms = [(_number(tau), _number(p)) for tau, p in model.atoms]
+        self.kinks = np.array([number(kink) for kink in model.kinks])
+        self.atoms = [(number(tau), number(p)) for tau, p in model.atoms]
 
     def __call__(self, name: str, tau: Array) -> Array:
-        values = getattr(self.model, name)(backend().Float64(tau))
-        return np.broadcast_to(np.array(values, dtype=np.float64), tau.shape)
+        return np.asarray(getattr(self.model, name)(tau))
 
     def reach(self, level: float, most: float) -> float:
-        """Optical depth by which ``ff`` and ``pf`` have come close to their limits, at most so many
-        mean flights."""
+        """Optical depth at which ``ff`` and ``pf`` are within ``level`` of their limits, at most
+        ``most`` mean flights."""
         tau = self.mean * np.geomspace(1e-3, 1e9, 4000)
         left = np.maximum(*(self(name, tau) - self(name, tau[-1:]) for name in ("ff", "pf")))
         if not self.sigma_bar:
@@ -138,7 +138,7 @@ class _Law:
 
     def draw(self, origin: str, count: int, seed: int) -> Array:
         """Samples, drawn in single precision as in a render."""
-        types = backend()
+        types = array_types()
         random = types.PCG32(count, initstate=types.UInt64(seed))
         samples = getattr(self.model, f"sample_{origin}")(random.next_float32)
         return np.broadcast_to(np.array(types.Float(samples), dtype=np.float64), (count,))
@@ -217,30 +217,15 @@ def _exponential(axes: Axes, tau: Array, values: Array) -> None:
 def _title(model: Transmittance) -> str:
     names = {cls: key for key, cls in models.registry.items()}
     shown = []
-    for field in dataclasses.fields(model):  # type: ignore[arg-type]
-        text = _brief(getattr(model, field.name))
+    for name, field in parameters_of(model).items():
+        text = brief(getattr(model, field.name))
         if text:
-            shown.append(f"{field.name} = {text}")
+            shown.append(f"{name} = {text}")
     return ", ".join([names.get(type(model), type(model).__name__), *shown])
-
-
-def _brief(value: Any) -> str:
-    if isinstance(value, tuple):
-        items = [_brief(item) for item in value]
-        return "(" + ", ".join(items if len(items) < 5 else [*items[:3], "...", items[-1]]) + ")"
-    if isinstance(value, Transmittance):
-        return type(value).__name__.lower()
-    if callable(value):
-        return getattr(value, "__name__", "function")
-    return str(value) if isinstance(value, str) else f"{_number(value):g}"
 
 
 def _formula(model: Transmittance) -> str:
     return (inspect.getdoc(type(model)) or "").partition("\n")[0]
-
-
-def _number(value: Any) -> float:
-    return float(value[0]) if hasattr(value, "__len__") else float(value)
 
 
 # ------------------------------------------------------------------------------------------- a fit

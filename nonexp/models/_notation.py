@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Any
 from xml.sax.saxutils import quoteattr
 
 import drjit as dr
 
 from ..transmittance import Transmittance, parameters
-from ..transmittance.kinds import kind_of
+from ..transmittance.kinds import kind_of, number, parameters_of
 from ._registry import registry
 
 __all__ = ["to_dict", "to_xml"]
@@ -26,20 +25,20 @@ def to_dict(model: Transmittance) -> dict[str, Any]:
     without a name that scenes could use.
     """
     scene: dict[str, Any] = {"type": f"transmittance_{_key(model)}"}
-    for field in dataclasses.fields(model):  # type: ignore[arg-type]
+    for name, field in parameters_of(model).items():
         kind, value = kind_of(field), getattr(model, field.name)
         if isinstance(kind, parameters.Components):
             scene |= {f"model_{i}": to_dict(component) for i, component in enumerate(value)}
         elif isinstance(kind, parameters.Vector):
             if len(value):
-                scene[field.name] = ", ".join(repr(_plain(item)) for item in value)
+                scene[name] = ", ".join(repr(_plain(item)) for item in value)
         elif isinstance(kind, parameters.Function):
-            scene[field.name] = _name_of(f"{type(model).__name__}.{field.name}", value)
+            scene[name] = _name_of(f"{type(model).__name__}.{name}", value)
         elif isinstance(kind, parameters.Text):
             if value:
-                scene[field.name] = value
+                scene[name] = value
         else:
-            scene[field.name] = _plain(value)
+            scene[name] = _plain(value)
     return scene
 
 
@@ -78,10 +77,10 @@ def _key(model: Transmittance) -> str:
 
 def _plain(value: Any) -> int | float:
     """A Python number, as short as the precision of an array allows."""
-    if not dr.is_array_v(value):
-        return value if type(value) is int else float(value)
-    number = float(dr.detach(value)[0])
-    return float(f"{number:.9g}") if dr.type_v(value) == dr.VarType.Float32 else number
+    if type(value) is int:
+        return value
+    single = dr.is_array_v(value) and dr.type_v(value) == dr.VarType.Float32
+    return float(f"{number(value):.9g}") if single else number(value)
 
 
 def _name_of(label: str, function: Any) -> str:

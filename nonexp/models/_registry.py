@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
 import inspect
 from collections.abc import Callable
 from typing import Any, TypeVar
 
 from ..transmittance import Transmittance
+from ..transmittance.kinds import parameters_of
 
 __all__ = ["create", "names", "on_register", "register", "registry"]
 
@@ -56,6 +56,9 @@ def names() -> list[str]:
 def create(name: str, **parameters: Any) -> Transmittance:
     """The model called ``name`` with the given parameters (defaults for the others).
 
+    Parameters have the names that scenes use: the fields' own, but for ``ff`` of ``custom`` and
+    ``tabulated``, whose fields are ``function`` and ``values``.
+
     Raises ``ValueError`` for an unknown model, an unknown or missing parameter, or a value out of
     range.
     """
@@ -63,9 +66,9 @@ def create(name: str, **parameters: Any) -> Transmittance:
         cls = registry[name]
     except KeyError:
         raise ValueError(f"model is {name!r}: it must be one of {', '.join(names())}") from None
-    allowed = [field.name for field in dataclasses.fields(cls)]  # type: ignore[arg-type]
+    fields = parameters_of(cls)
     for parameter in parameters:
-        if parameter not in allowed:
-            known = ", ".join(allowed) if allowed else "none"
+        if parameter not in fields:
+            known = ", ".join(fields) or "none"
             raise ValueError(f"{name} has no parameter {parameter!r}: its parameters are {known}")
-    return cls(**parameters)
+    return cls(**{fields[parameter].name: value for parameter, value in parameters.items()})

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
 import drjit as dr
@@ -14,10 +14,10 @@ from ..system import machine
 from ..transmittance.parameters import function
 from ..transmittance.piecewise import Curve, Piecewise, hermite
 
-_END = 1e-8  # of ff, where its table ends
-_TOLERANCE = 8e-6  # of ff and pf at the probes: less than 1e-5 everywhere
-_RELATIVE = 1e-3  # the same in the tail, down to pf = 1e-6
-_ROUNDING = 1e-9  # of ff and pf, not taken for a fault of the function
+_END = 1e-8  # where ff is below, its table ends
+_TOLERANCE = 8e-6  # errors of ff and pf allowed at the probes: less than 1e-5 everywhere
+_RELATIVE = 1e-3  # relative errors allowed in the tail, down to pf = 1e-6
+_ROUNDING = 1e-9  # errors of ff and pf that are not held against the function
 _MOST_NODES = 4096
 
 
@@ -37,51 +37,41 @@ class Error(NamedTuple):
 class Custom(Piecewise):
     """T = your function: give ff alone, and densities, samplers and derivatives follow.
 
-    ``ff`` is a Python function of an array of optical depths, written with Dr.Jit's operations
-    (``drjit.exp``, not ``math.exp``), or the string ``module:function`` that names one; scenes find
-    the module beside the scene file as well. It must start at 1, never rise, and be convex, with a
-    finite slope at 0; where it is not, ``ValueError`` names the depth.
+    ``ff`` (the field ``function``) is a Python function of an array of optical depths, written with
+    Dr.Jit's operations (``drjit.exp``, not ``math.exp``), or the string ``module:function`` that
+    names one; scenes also find the module beside the scene file. It must start at 1, never rise,
+    and be convex, with a finite slope at 0; where it is not, ``ValueError`` names the depth.
 
     When the model is made, ff and its first derivative (by automatic differentiation) are tabulated
     in double precision on adaptive nodes; the law is the curve through both, with pf continuous and
     piecewise linear, pp piecewise constant, and one more knot between two nodes (Schumaker 1983).
     Samples follow the curve exactly. Nodes are as close as it takes for errors of ff and pf below
-    1e-5, or one thousandth where that is less (down to pf = 1e-6); ``model.error`` are
-    the largest absolute errors (ff, pf) that were found at other depths between 0 and the last
-    knot. There ff is below 1e-8, or flat, and goes on as an exponential, or stays.
+    1e-5, or one thousandth where that is less (down to pf = 1e-6). ``model.error`` holds the
+    largest absolute errors (ff, pf) found at other depths between 0 and the last knot. There ff is
+    below 1e-8 or flat; beyond it decays exponentially or stays constant.
 
     A jump of the slope becomes a ramp between neighbouring single-precision numbers, on which
     errors are not measured; where ff ends with a slope, there is an atom. At most 4096 nodes are
-    used.
+    used. A law pickles if its function does: a lambda does not, nor in another process a function
+    of a module that cannot be imported there.
     """
 
-    ff: Any = function(doc="transmittance: a function of optical depth, or module:function")
+    function: Any = function(
+        scene_name="ff", doc="transmittance: a function of optical depth, or module:function"
+    )
     examples: ClassVar[tuple[dict[str, Any], ...]] = ({"ff": "nonexp.models.custom:wigner"},)
-
-    _error: ClassVar[Error]
 
     @property
     def error(self) -> Error:
         """Largest absolute errors of ff and pf found between the nodes of the table."""
-        return self._error
+        return self._tabulated[1]
 
-    def fit(self) -> Curve:
-        curve, error = _tabulate(_Probe("Custom.ff", self.ff))
-        object.__setattr__(self, "_error", error)
-        return curve
+    def make_curve(self) -> Curve:
+        return self._tabulated[0]
 
-    def prepare(self) -> None:
-        given = getattr(self.ff, "given", self.ff)
-        object.__setattr__(self, "ff", given)
-        super().prepare()
-        law = super().ff
-
-        @functools.wraps(given)  # the parameter is called like the law: both are model.ff
-        def ff(tau: Any) -> Any:
-            return law(tau)
-
-        ff.given = given  # type: ignore[attr-defined]
-        object.__setattr__(self, "ff", ff)
+    @cached_property
+    def _tabulated(self) -> tuple[Curve, Error]:
+        return _tabulate(_Probe("Custom.ff", self.function))
 
 
 # ------------------------------------------------------------------------------- the function
@@ -96,7 +86,7 @@ class _Probe:
 
     def at(self, tau: Any) -> tuple[Any, Any]:
         """ff and -ff' at an array of depths, unchecked."""
-        kind = _double()
+        kind = machine.array_types().Float64
         with dr.resume_grad():
             x = kind(tau)
             dr.enable_grad(x)
@@ -123,14 +113,14 @@ class _Probe:
             dr.eval(y, slope)
         return np.array(y), np.broadcast_to(-np.array(slope), len(tau))
 
-    def checked(self, tau: Any) -> tuple[Any, Any]:
-        """ff and -ff' at ascending depths; ``ValueError`` where they are not admissible."""
+    def at_ascending(self, tau: Any) -> tuple[Any, Any]:
+        """ff and -ff' at ascending depths; ``ValueError`` where they belong to no law."""
         ff, slope = self.at(tau)
-        self.check(tau, ff, slope)
+        self.require_convex(tau, ff, slope)
         return ff, slope
 
-    def check(self, tau: Any, ff: Any, slope: Any) -> None:
-        """Raise ``ValueError`` at the first depth where the values are not admissible."""
+    def require_convex(self, tau: Any, ff: Any, slope: Any) -> None:
+        """Raise ``ValueError`` at the first depth where a law cannot have these values."""
         self._refuse(tau, ff, slope, ~np.isfinite(ff), "it must be finite")
         self._refuse(tau, ff, slope, ~np.isfinite(slope), "its slope must be finite")
         outside = (ff < -_ROUNDING) | (ff > 1 + _ROUNDING)
@@ -160,19 +150,6 @@ class _Probe:
             raise ValueError(f"{message}: {words}")
 
 
-def _double() -> Any:
-    """Differentiable double-precision arrays of a backend that works here."""
-    if machine.llvm_problem() is None:
-        from drjit.llvm.ad import Float64
-
-        return Float64
-    if dr.has_backend(dr.JitBackend.CUDA):
-        from drjit.cuda.ad import Float64 as Float64OnGPU
-
-        return Float64OnGPU
-    raise machine.MachineError(f"a function cannot be tabulated: {machine.llvm_problem()}")
-
-
 def _described(value: Any) -> str:
     cls = type(value)
     name = f"{cls.__module__}.{cls.__qualname__}".removeprefix("builtins.")
@@ -184,12 +161,12 @@ def _described(value: Any) -> str:
 
 def _tabulate(probe: _Probe) -> tuple[Curve, Error]:
     tau = _first_nodes(probe)
-    ff, slope = probe.checked(tau)
+    ff, slope = probe.at_ascending(tau)
     open_cells = np.arange(len(tau) - 1)
     while len(open_cells) and len(tau) < _MOST_NODES:
         # Three probes in each cell that is not settled; cells that fail are cut in the middle.
         a, b = tau[open_cells], tau[open_cells + 1]
-        middle = _single((a + b) / 2)
+        middle = _rounded((a + b) / 2)
         divisible = (middle > a) & (middle < b)
         open_cells, a, b = open_cells[divisible], a[divisible], b[divisible]
         if not len(open_cells):
@@ -197,7 +174,7 @@ def _tabulate(probe: _Probe) -> tuple[Curve, Error]:
         inside = np.stack([(3 * a + b) / 4, middle[divisible], (a + 3 * b) / 4], axis=1)
         ff_in, slope_in = (v.reshape(inside.shape) for v in probe.at(inside.ravel()))
         where = np.repeat(open_cells + 1, 3)
-        probe.check(
+        probe.require_convex(
             *(
                 np.insert(v, where, w.ravel())
                 for v, w in zip((tau, ff, slope), (inside, ff_in, slope_in), strict=True)
@@ -216,10 +193,10 @@ def _tabulate(probe: _Probe) -> tuple[Curve, Error]:
 
 
 def _first_nodes(probe: _Probe) -> Any:
-    """0, then four in each octave from where ff has hardly fallen to where it is done with."""
+    """0, then four in each octave from where ff has hardly fallen to where the table ends."""
     octaves = np.append(0, 2.0 ** np.arange(-100, 101))
     ff, slope = probe.at(octaves)
-    probe.check(octaves[:1], ff[:1], slope[:1])
+    probe.require_convex(octaves[:1], ff[:1], slope[:1])
     if abs(ff[0] - 1) > _ROUNDING:
         raise ValueError(f"{probe.label} at tau = 0 is {ff[0]:.9g}: it must be 1")
     if np.all(ff == 1):
@@ -233,7 +210,7 @@ def _first_nodes(probe: _Probe) -> Any:
     last = int(np.argmax(done)) if np.any(done) else len(octaves) - 1
     beyond = octaves[last : last + 2], ff[last : last + 2], slope[last : last + 2]
     if np.all(np.isfinite(beyond)):  # (1 - tau/2)^2 is over at 2, but comes back
-        probe.check(*beyond)
+        probe.require_convex(*beyond)
     first = int(np.argmax(octaves * slope[0] > 0.01))
     quarters = octaves[first:last, None] * (1 + np.arange(4) / 4)
     return np.concatenate([[0], quarters.ravel(), octaves[last : last + 1]])
@@ -263,9 +240,9 @@ def _ended(tau: Any, ff: Any, slope: Any) -> tuple[Any, Any, Any]:
         return tau, ff, slope
     a, b = tau[-2:]
     straight = a + ff[-2] / slope[-2]
-    if straight >= b - 1e-6 * (b - a) or _single((a + b) / 2) in (a, b):
+    if straight >= b - 1e-6 * (b - a) or _rounded((a + b) / 2) in (a, b):
         # The slope jumps to 0 there: the law ends on its straight line, with an atom.
-        tau[-1], slope[-1] = _single(straight), slope[-2]
+        tau[-1], slope[-1] = _rounded(straight), slope[-2]
         if tau[-1] == a:
             tau, ff, slope = tau[:-1], np.append(ff[:-2], 0), slope[:-1]
     elif slope[-1] <= _ROUNDING * slope[0]:
@@ -279,7 +256,7 @@ def _measured(probe: _Probe, curve: Curve) -> Error:
     a, b = a[wide, None], b[wide, None]
     tau = (a + (b - a) * np.array([0.002, 0.3, 0.5, 0.7, 0.998])).ravel()
     ff, slope = curve.at(tau)
-    ff_true, slope_true = probe.checked(tau)
+    ff_true, slope_true = probe.at_ascending(tau)
     sigma_bar = curve.slope[0]
     return Error(
         float(np.max(np.abs(ff - ff_true))),
@@ -287,5 +264,5 @@ def _measured(probe: _Probe, curve: Curve) -> Error:
     )
 
 
-def _single(tau: Any) -> Any:
+def _rounded(tau: Any) -> Any:
     return np.float64(np.float32(tau))

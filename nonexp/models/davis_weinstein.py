@@ -10,7 +10,7 @@ import numpy as np
 from ..numerics import log1p, select, with_derivative
 from ..numerics.special import LogLogSpline, log1p_excess_ratio
 from ..transmittance import Draw, Transmittance
-from ..transmittance.parameters import parameter
+from ..transmittance.parameters import number, parameter
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,10 +24,10 @@ class DavisWeinstein(Transmittance):
     exponential one of extinction 1.
 
     For ``1/2 < h < 1`` the density ``pp`` grows without bound towards ``tau = 0``; below 1e-30 it
-    keeps the value that it has there. As ``h`` falls to 1/2, a share of the flights from a
-    particle shrinks to nothing; ``h = 1/2`` does without them: there ``sigma_bar``, ``pf`` and
-    ``pp`` jump, and their derivatives by ``h`` leave the jump out. Flights may be infinite in
-    single precision where ``h`` is near 1 and ``c`` is large.
+    is held constant. As ``h`` falls to 1/2, some of the flights from a particle shrink to length
+    zero; at ``h = 1/2`` they are left out, so that ``sigma_bar``, ``pf`` and ``pp`` jump there.
+    Derivatives by ``h`` do not include the jump. In single precision flights may be infinite where
+    ``h`` is near 1 and ``c`` is large.
     """
 
     h: Any = parameter(0.75, least=0.5, most=1, doc="Hurst exponent of the fluctuations")
@@ -39,12 +39,12 @@ class DavisWeinstein(Transmittance):
     )
 
     def prepare(self) -> None:
-        _ = self._stretch  # made here: where flights are drawn, parameters cannot be read
+        _ = self._stretch  # made now: parameters cannot be read inside a kernel
 
     @cached_property
     def _stretch(self) -> LogLogSpline:
         """``tau/e`` as a function of ``e = -ln T(tau)``."""
-        h, c = (float(dr.detach(v)[0]) if dr.is_array_v(v) else float(v) for v in (self.h, self.c))
+        h, c = number(self.h), number(self.c)
         return LogLogSpline(lambda e: _log_stretch(e, 2 * h - 1, 2 * h * np.log(c)), -53, 6, 16)
 
     @property

@@ -20,26 +20,30 @@ from ..transmittance.parameters import text, vector
 class Ensemble(Transmittance):
     """T = E[exp(-S tau)] for an extinction S of any law: fluctuations from flight to flight.
 
-    Each flight meets one extinction, drawn from the law of S; ``sigma_bar = E[S]``. Given by the
-    name of a distribution of ``scipy.stats`` and its positional arguments (shapes, then loc and
-    scale), such as ``law="lognorm", args=(0.5, 0, 1)``, or by a table of values ``sigma`` with
-    their ``weight`` (normalised; equal where none is given). A law with all its mass at one value
-    is the exponential; the more of it lies near 0 the longer the tail, and T tends to P(S = 0).
-    The gamma model is the ensemble of gamma laws. Laws need a finite mean; that of S^2, the value
-    of ``pp`` at 0 times ``sigma_bar``, may be infinite, and ``pp`` is then right from about
+    Each flight has one extinction, drawn from the law of S; ``sigma_bar = E[S]``. The law is given
+    by the name of a distribution of ``scipy.stats`` and its positional arguments (shapes, then loc
+    and scale), such as ``law="lognorm", args=(0.5, 0, 1)``, or by a table of values ``sigma`` with
+    their ``weight`` (normalised; equal where none is given). If S has a single value the model is
+    the exponential law; the more of S lies near 0, the longer the tail, and T tends to P(S = 0).
+    The gamma model is the ensemble of a gamma distribution. S needs a finite mean. The mean of S^2,
+    which is ``pp`` at 0 times ``sigma_bar``, may be infinite; ``pp`` is then accurate from about
     tau = 1e-8 on.
 
-    A continuous law becomes about a thousand weighted values when the model is made, which keep
-    all four functions to ten digits, and Python floats are evaluated by that sum; kernels
-    interpolate it to the precision of their numbers. Samplers draw one of the values, by its
-    weight (times the value, after a collision), then an exponential flight: samples follow the
-    sum itself, not its interpolation.
+    When the model is made, a continuous law is replaced by about a thousand weighted values that
+    reproduce all four functions to ten digits. Python floats are evaluated by that sum; kernels
+    interpolate it to the precision of their numbers. Samplers draw one of the values, with a
+    probability proportional to its weight (after a collision, to its weight times the value), then
+    an exponential flight: samples follow the sum itself, not its interpolation.
     """
 
     law: Any = text("", doc="name of a distribution of scipy.stats")
     args: Any = vector((), differentiable=False, doc="its arguments: shapes, then loc and scale")
-    sigma: Any = vector((), least=0, most=1e12, differentiable=False, doc="values of S, if no law")
-    weight: Any = vector((), least=0, differentiable=False, doc="their weights; default: equal")
+    sigma: Any = vector(
+        (), least=0, most=1e12, differentiable=False, scales=-1, doc="values of S, if no law"
+    )
+    weight: Any = vector(
+        (), least=0, differentiable=False, relative=True, doc="their weights; default: equal"
+    )
     examples: ClassVar[tuple[dict[str, Any], ...]] = (
         {"law": "gamma", "args": (2.0, 0.0, 0.5)},
         {"law": "lognorm", "args": (1.0, 0.0, 0.6)},

@@ -23,7 +23,7 @@ class Erlang(Transmittance):
     """
 
     k: Any = whole(2, least=1, most=64, doc="number of exponential steps in a flight")
-    rate: Any = parameter(same_as="k", above=0, doc="steps per unit optical depth")
+    rate: Any = parameter(same_as="k", above=0, scales=-1, doc="steps per unit optical depth")
     examples: ClassVar[tuple[dict[str, Any], ...]] = (
         {},
         {"k": 1, "rate": 1.5},

@@ -9,10 +9,11 @@ import drjit as dr
 
 from ..numerics import log1p, select
 from ..transmittance import Draw, Transmittance
-from ..transmittance.choice import check_extinction, pick, weights
+from ..transmittance.choice import pick, require_extinction, weights
 from ..transmittance.parameters import check, vector
 
-# Below it float32 has no normal numbers; 1 / it stands for infinity, which zeros turn into NaN.
+# Below this float32 has no normal numbers. Its reciprocal stands for infinity, because
+# zero times infinity would be NaN.
 _VANISHING = 1e-37
 
 
@@ -29,8 +30,12 @@ class ExponentialMixture(Transmittance):
     two materials.
     """
 
-    sigma: Any = vector((0.2, 1.8), least=0, doc="extinctions, relative to that of the medium")
-    weight: Any = vector((), least=0, doc="relative weight of each extinction; equal if not given")
+    sigma: Any = vector(
+        (0.2, 1.8), least=0, scales=-1, doc="extinctions, relative to that of the medium"
+    )
+    weight: Any = vector(
+        (), least=0, relative=True, doc="relative weight of each extinction; equal if not given"
+    )
     examples: ClassVar[tuple[dict[str, Any], ...]] = (
         {},
         {"sigma": (0.05, 1.0, 8.0), "weight": (1.0, 2.0, 1.0)},
@@ -76,7 +81,7 @@ class ExponentialMixture(Transmittance):
 
     def prepare(self) -> None:
         object.__setattr__(self, "weight", weights(self, self.weight, "sigma"))
-        check_extinction(self)
+        require_extinction(self)
 
     @property
     def sigma_bar(self) -> Any:

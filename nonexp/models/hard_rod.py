@@ -19,8 +19,10 @@ class HardRod(Transmittance):
     a line. Exponential for ``d = 0``; tends to the linear law of ``b = d`` as ``l`` vanishes.
     """
 
-    d: Any = parameter(0.5, least=0, doc="shortest flight after a collision, in optical depth")
-    l: Any = parameter(0.5, above=0, doc="mean of what flights exceed d by")  # noqa: E741
+    d: Any = parameter(
+        0.5, least=0, scales=1, doc="shortest flight after a collision, in optical depth"
+    )
+    l: Any = parameter(0.5, above=0, scales=1, doc="mean of what flights exceed d by")  # noqa: E741
     examples: ClassVar[tuple[dict[str, Any], ...]] = (
         {},
         {"d": 0.9, "l": 0.1},

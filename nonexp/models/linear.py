@@ -18,5 +18,7 @@ class Linear(BoundedPower, Transmittance):
     """
 
     n = 1
-    b: Any = parameter(1.0, above=0, doc="flight length after a collision, in optical depth")
+    b: Any = parameter(
+        1.0, above=0, scales=1, doc="flight length after a collision, in optical depth"
+    )
     examples: ClassVar[tuple[dict[str, Any], ...]] = ({}, {"b": 0.25}, {"b": 1.72}, {"b": 1000.0})

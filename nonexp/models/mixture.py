@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from ..transmittance import Draw, Transmittance
-from ..transmittance.choice import check_extinction, pick, replayed, weights
+from ..transmittance.choice import pick, replayed, require_extinction, weights
 from ..transmittance.parameters import components, number, vector
 from .constant import Constant
 from .exponential import Exponential
@@ -32,7 +32,9 @@ class Mixture(Transmittance):
     """
 
     models: Any = components((Exponential(), Linear()), doc="what is mixed")
-    weight: Any = vector((), least=0, doc="relative weight of each model; equal if not given")
+    weight: Any = vector(
+        (), least=0, relative=True, doc="relative weight of each model; equal if not given"
+    )
     examples: ClassVar[tuple[dict[str, Any], ...]] = (
         {},
         {"models": (Exponential(), Linear(2.0)), "weight": (1.0, 3.0)},
@@ -42,7 +44,7 @@ class Mixture(Transmittance):
 
     def prepare(self) -> None:
         object.__setattr__(self, "weight", weights(self, self.weight, "models"))
-        check_extinction(self)
+        require_extinction(self)
 
     @property
     def sigma_bar(self) -> Any:

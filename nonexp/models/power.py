@@ -89,7 +89,7 @@ class Power(BoundedPower, Transmittance):
     """
 
     n: Any = parameter(2.0, least=1, doc="exponent: the larger, the less ordered the particles")
-    b: Any = parameter(above=0, same_as="n", doc="longest flight, in optical depth")
+    b: Any = parameter(above=0, same_as="n", scales=1, doc="longest flight, in optical depth")
     examples: ClassVar[tuple[dict[str, Any], ...]] = (
         {},
         {"n": 1.5},

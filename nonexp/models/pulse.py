@@ -7,7 +7,7 @@ import drjit as dr
 
 from ..numerics import filled, select
 from ..transmittance import Draw, Transmittance
-from ..transmittance.parameters import parameter, whole
+from ..transmittance.parameters import number, parameter, whole
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,8 +19,10 @@ class Pulse(Transmittance):
     of flight length (a+b)/2; with ``a = 0`` the law tends to the quadratic one as ``n`` grows.
     """
 
-    a: Any = parameter(0.0, least=0, doc="where the flights' range begins, in optical depth")
-    b: Any = parameter(2.0, above=0, doc="where it ends, greater than a")
+    a: Any = parameter(
+        0.0, least=0, scales=1, doc="where the flights' range begins, in optical depth"
+    )
+    b: Any = parameter(2.0, above=0, scales=1, doc="where it ends, greater than a")
     n: int = whole(4, least=1, most=1000, doc="number of lengths")
     examples: ClassVar[tuple[dict[str, Any], ...]] = (
         {},
@@ -30,11 +32,9 @@ class Pulse(Transmittance):
     )
 
     def prepare(self) -> None:
-        a, b = (dr.detach(v)[0] if dr.is_array_v(v) else v for v in (self.a, self.b))
+        a, b = number(self.a), number(self.b)
         if not b > a:
-            raise ValueError(
-                f"Pulse.b is {float(b):g}: it must be a finite number > Pulse.a = {float(a):g}"
-            )
+            raise ValueError(f"Pulse.b is {b:g}: it must be a finite number > Pulse.a = {a:g}")
 
     @property
     def sigma_bar(self) -> Any:

@@ -16,5 +16,5 @@ class Quadratic(BoundedPower, Transmittance):
     """
 
     n = 2
-    b: Any = parameter(2.0, above=0, doc="longest flight, in optical depth")
+    b: Any = parameter(2.0, above=0, scales=1, doc="longest flight, in optical depth")
     examples: ClassVar[tuple[dict[str, Any], ...]] = ({}, {"b": 0.5}, {"b": 30.0})

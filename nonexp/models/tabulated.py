@@ -2,28 +2,31 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, ClassVar
-from zipfile import BadZipFile
 
 import numpy as np
 
+from ..transmittance.columns import Columns, check_measured, read
 from ..transmittance.parameters import text, vector
 from ..transmittance.piecewise import Curve, Piecewise, hermite
 
 # Tables in single precision are convex, or straight, only up to this.
 _ROUNDING = 2e-7
 
+_NOISE = 5
+"""Standard deviations by which a measurement may miss the convex table nearest to it."""
+
+_RAMPS = 200
+"""Most corners that this table can have."""
+
 
 @dataclass(frozen=True, eq=False)
 class Tabulated(Piecewise):
     """T = a convex curve through given points (tau, ff), from a file or from two vectors.
 
-    A file is text with two columns, tau and ff, separated by commas or blanks (``#`` starts a
-    comment, one line of headings may stand first), or an NPZ archive with arrays ``tau`` and
-    ``ff``. Rows ascend in tau; (0, 1) is added in front if it is missing.
+    A file has columns tau and ff, as text or as NPZ; :func:`nonexp.fitting.read_table` says how
+    they are found. Rows may stand in any order; (0, 1) is added in front if it is missing.
 
     The curve goes through all points (to single precision), falls, is convex, and has a continuous
     slope: pf is continuous and piecewise linear, pp piecewise constant; samples follow the curve
@@ -35,121 +38,58 @@ class Tabulated(Piecewise):
     from where the table has become flat.
 
     Tables that rise or are not convex, by more than 2e-7 in ff, are refused (``ValueError`` with
-    the row): smooth noisy measurements first. The extinction ``sigma_bar`` is the slope of the
-    curve at 0: it is known as well as rows near 0 tell it.
+    the row), unless the file has standard deviations: then the curve goes through the convex
+    points nearest to the measured ones (weighted least squares), if none of them is more than five
+    standard deviations away. The extinction ``sigma_bar`` is the slope of the curve at 0: it is
+    only as accurate as the rows near 0.
     """
 
     filename: Any = text(is_file=True, doc="file with the columns tau and ff")
-    tau: Any = vector((), least=0, differentiable=False, doc="optical depths, instead of a file")
-    ff: Any = vector((), differentiable=False, doc="transmittance at these depths")
+    tau: Any = vector(
+        (), least=0, differentiable=False, scales=1, doc="optical depths, instead of a file"
+    )
+    values: Any = vector(
+        (), differentiable=False, scene_name="ff", doc="transmittance at these depths"
+    )
     examples: ClassVar[tuple[dict[str, Any], ...]] = (
         {"tau": (0.125, 0.25, 0.5, 1.0, 2.0, 4.0), "ff": (0.875, 0.75, 0.52, 0.25, 0.06, 0.004)},
         {"tau": (0.0, 0.5, 1.0, 2.0), "ff": (1.0, 0.75, 0.5, 0.0)},
         {"tau": (0.1, 0.35, 0.5, 1.0, 3.0), "ff": (0.7, 0.4, 0.3, 0.1, 0.0)},
     )
 
-    def fit(self) -> Curve:
-        if bool(self.filename) == bool(self.tau or self.ff):
+    def make_curve(self) -> Curve:
+        if bool(self.filename) == bool(self.tau or self.values):
             raise ValueError("Tabulated needs either a filename or both tau and ff")
-        if self.filename:
-            label = f"Tabulated.filename is {self.filename!r}"
-            rows, tau, ff = _read(label, self.filename)
-        else:
-            label = "Tabulated.ff"
-            rows, tau, ff = _entries(label, self.tau, self.ff)
-        return _curve(*_checked(label, rows, tau, ff))
-
-    def prepare(self) -> None:
-        super().prepare()
-        object.__setattr__(self, "ff", _Column(self.ff, super().ff))
-
-
-class _Column(tuple):  # type: ignore[type-arg]
-    """The parameter ff, which is called like the law: both are ``model.ff``."""
-
-    law: Any
-
-    def __new__(cls, values: tuple[float, ...], law: Any) -> _Column:
-        column = super().__new__(cls, values)
-        column.law = law
-        return column
-
-    def __call__(self, tau: Any) -> Any:
-        return self.law(tau)
-
-
-# ------------------------------------------------------------------------------- reading
-
-
-def _read(label: str, filename: str) -> tuple[list[str], Any, Any]:
-    """Names of the rows, tau, ff."""
-    path = Path(filename)
-    if not path.exists():
-        raise ValueError(f"{label}: there is no such file")
-    try:
-        if path.suffix.lower() == ".npz":
-            with np.load(path, allow_pickle=False) as archive:
-                columns = {name: np.array(archive[name], dtype=float) for name in archive}
-        else:
-            content = path.read_text(encoding="utf-8-sig")
-    except (OSError, BadZipFile, EOFError, TypeError, ValueError) as error:
-        words = "a text file of two columns, or an archive named .npz of number arrays"
-        raise ValueError(f"{label}: it must be {words} ({error})") from None
-    if path.suffix.lower() != ".npz":
-        return _lines(label, content)
-    if not {"tau", "ff"} <= set(columns):
-        found = ", ".join(columns) or "none"
-        raise ValueError(f"{label}: its arrays are {found}: it must hold tau and ff")
-    return _entries(label, columns["tau"], columns["ff"])
-
-
-def _entries(label: str, tau: Any, ff: Any) -> tuple[list[str], Any, Any]:
-    tau, ff = np.asarray(tau, dtype=float), np.asarray(ff, dtype=float)
-    if tau.ndim != 1 or tau.shape != ff.shape:
-        shapes = [" x ".join(map(str, column.shape)) for column in (tau, ff)]
-        raise ValueError(f"{label}: tau has {shapes[0]} entries and ff {shapes[1]}: one row each")
-    return [f"row {i + 1}" for i in range(len(tau))], tau, ff
-
-
-def _lines(label: str, content: str) -> tuple[list[str], Any, Any]:
-    rows: list[str] = []
-    values: list[tuple[float, float]] = []
-    headings = False
-    for number, line in enumerate(content.splitlines(), 1):
-        words = [word for word in re.split(r"[\s,;]+", line.partition("#")[0]) if word]
-        if not words:
-            continue
+        label = f"Tabulated.filename is {self.filename!r}" if self.filename else "Tabulated.ff"
         try:
-            tau, ff = map(float, words)
-        except ValueError:
-            if rows or headings or any(map(_is_number, words)):
-                raise ValueError(
-                    f"{label}: line {number} is {line.strip()!r}: it must hold two numbers"
-                ) from None
-            headings = True
-            continue
-        rows.append(f"line {number}")
-        values.append((tau, ff))
-    columns = np.array(values, dtype=float).reshape(-1, 2).T
-    return rows, columns[0], columns[1]
+            return _curve(*self._table())
+        except (OSError, ValueError) as error:
+            raise ValueError(f"{label}: {error}") from None
 
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
+    def _table(self) -> tuple[Any, Any]:
+        if not self.filename:
+            return _convex(Columns.of({"tau": self.tau, "ff": self.values}))
+        table = read(self.filename)
+        try:
+            try:
+                return _convex(table)
+            except ValueError:
+                if table.sigma is None:
+                    raise
+                return _convex(_nearest_convex(table))
+        except ValueError as error:
+            raise ValueError(f"{error} (columns: {table.taken})") from None
 
 
 # ------------------------------------------------------------------------------- checking
 
 
-def _checked(label: str, rows: list[str], tau: Any, ff: Any) -> tuple[Any, Any]:
-    """The table from (0, 1) on, convex to the last bit, without what follows its end."""
+def _convex(table: Columns) -> tuple[Any, Any]:
+    """The table from (0, 1) on, convex to the last bit; ``ValueError`` where it is not convex."""
+    tau, ff, rows = table.tau, table.ff, table.rows
 
     def refuse(i: Any, words: str) -> None:
-        raise ValueError(f"{label}: {rows[i]} has ff = {ff[i]:.9g} at tau = {tau[i]:.9g}: {words}")
+        raise ValueError(f"{rows[i]} has ff = {ff[i]:.9g} at tau = {tau[i]:.9g}: {words}")
 
     for i in np.flatnonzero(~(np.isfinite(tau) & np.isfinite(ff))):
         refuse(i, "both must be finite")
@@ -157,8 +97,8 @@ def _checked(label: str, rows: list[str], tau: Any, ff: Any) -> tuple[Any, Any]:
         refuse(i, "ff must be in [0, 1]")
     for i in np.flatnonzero((tau < 0) | ((tau > 0) & (tau < 1e-18)) | (tau > 1e18)):
         refuse(i, "tau must be 0, or in [1e-18, 1e18]")
-    for i in np.flatnonzero(np.diff(tau) <= 0) + 1:
-        refuse(i, f"tau must be greater than in {rows[i - 1]}, where it is {tau[i - 1]:.9g}")
+    for i in np.flatnonzero(np.diff(tau) == 0) + 1:
+        refuse(i, f"tau must not be the same as in {rows[i - 1]}")
     if len(tau) and tau[0] == 0 and ff[0] < 1 - _ROUNDING:
         refuse(0, "at tau = 0 it must be 1")
     for i in np.flatnonzero(np.diff(ff) > _ROUNDING) + 1:
@@ -168,7 +108,7 @@ def _checked(label: str, rows: list[str], tau: Any, ff: Any) -> tuple[Any, Any]:
     x = np.append(0, tau[start:])
     y = np.minimum.accumulate(np.append(1, ff[start:]))
     if len(tau) < 2:
-        raise ValueError(f"{label}: there are {len(tau)} rows: there must be at least 2")
+        raise ValueError(f"there are {len(tau)} rows: there must be at least 2")
     hull = _hull(x, y)
     excess = y - np.interp(x, x[hull], y[hull])
     worst = int(np.argmax(excess))
@@ -180,8 +120,42 @@ def _checked(label: str, rows: list[str], tau: Any, ff: Any) -> tuple[Any, Any]:
             "(the straight line between rows around it)",
         )
     if y[-1] == 1:
-        raise ValueError(f"{label}: ff is 1 in all rows: use the model constant")
+        raise ValueError("ff is 1 in all rows: use the model constant")
     return x, y - excess
+
+
+def _nearest_convex(table: Columns) -> Columns:
+    """The convex table nearest to a measured one, in units of its standard deviations.
+
+    Convex, falling tables are sums of ramps that end at their rows, and of a constant, with weights
+    that are not negative: non-negative least squares.
+    """
+    from scipy.optimize import nnls  # takes longer to import than all of nonexp
+
+    tau, ff, sigma = check_measured(table.tau, table.ff, table.sigma, table.rows)
+    assert sigma is not None
+    ends = np.unique(tau[tau > 0])
+    ends = ends[np.unique(np.linspace(0, len(ends) - 1, _RAMPS).astype(int))]
+
+    def ramps(x: Any) -> Any:
+        return np.append(np.maximum(1 - x[:, None] / ends, 0), np.ones((len(x), 1)), axis=1)
+
+    sure = 1e4 / sigma.min()  # one more row, that must hold: T(0) = 1
+    weight, _ = nnls(
+        np.vstack([ramps(tau) / sigma[:, None], np.full((1, len(ends) + 1), sure)]),
+        np.append(ff / sigma, sure),
+    )
+    weight = weight / weight.sum()
+    off = np.abs(ramps(tau) @ weight - ff) / sigma
+    worst = int(np.argmax(off))
+    if off[worst] > _NOISE:
+        raise ValueError(
+            f"{table.rows[worst]} has ff = {ff[worst]:.9g} at tau = {tau[worst]:.9g}: it must be "
+            f"within {_NOISE} standard deviations of a convex table; the nearest is "
+            f"{off[worst]:.1f} away"
+        )
+    tau = np.unique(tau)
+    return Columns.of({"tau": tau, "ff": np.minimum(ramps(tau) @ weight, 1)})
 
 
 def _hull(x: Any, y: Any) -> list[int]:

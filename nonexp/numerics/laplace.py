@@ -12,7 +12,7 @@ import drjit as dr
 import numpy as np
 
 from . import select
-from .lookup import Table
+from .lookup import Table, padded_length
 
 __all__ = ["AliasTable", "LaplaceTransform"]
 
@@ -133,7 +133,7 @@ class AliasTable:
     """
 
     def __init__(self, values: Any, weight: Any) -> None:
-        places = 1 << (len(values) - 1).bit_length()
+        places = padded_length(len(values))
         level = np.zeros(places)
         level[: len(values)] = np.asarray(weight) / np.sum(weight) * places
         value = np.full(places, values[0], dtype=np.float64)

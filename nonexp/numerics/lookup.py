@@ -14,7 +14,7 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-__all__ = ["Table", "tables_in"]
+__all__ = ["Table", "padded_length", "tables_in"]
 
 
 class Table:
@@ -29,11 +29,14 @@ class Table:
         if self.rows.ndim != 2 or 0 in self.rows.shape:
             raise ValueError(f"a table of shape {self.rows.shape} cannot be looked up in")
         self.rows.setflags(write=False)
-        self._stride = _power_of_two(self.rows.shape[1])  # such packets are fetched in one go
+        self._stride = padded_length(self.rows.shape[1])  # such packets are fetched in one go
         self._arrays: dict[Any, Any] = {}
 
     def __len__(self) -> int:
         return len(self.rows)
+
+    def __reduce__(self) -> Any:
+        return Table, (self.rows,)  # without the arrays, which belong to this machine
 
     def row(self, like: Any, index: Any) -> tuple[Any, ...]:
         """The numbers of row ``index``, as scalars of the type of ``like``.
@@ -68,7 +71,7 @@ class Table:
         x = dr.detach(x)
         source = self._array(type(x))
         index = dr.uint32_array_t(x)
-        step = _power_of_two(len(self.rows)) // 2
+        step = padded_length(len(self.rows)) // 2
         if not step:
             return index(0)
         middle = self._scalars(type(x), step)[column]
@@ -103,7 +106,7 @@ class Table:
         The padding is NaN, which no number reaches: a search never ends there.
         """
         if kind not in self._arrays:
-            padded = np.full((_power_of_two(len(self.rows)), self._stride), np.nan)
+            padded = np.full((padded_length(len(self.rows)), self._stride), np.nan)
             padded[: len(self.rows), : self.rows.shape[1]] = self.rows
             # A list is copied to aligned memory. A NumPy array would be used where it lies, and
             # kernels fetch packets in one go, or not, by where that is.
@@ -126,8 +129,8 @@ def tables_in(value: Any) -> Iterator[Table]:
         yield from tables_in(list(vars(value).values()))
 
 
-def _power_of_two(n: int) -> int:
-    """The least one that is not below n."""
+def padded_length(n: int) -> int:
+    """The least power of two that is not below ``n``."""
     return 1 << (n - 1).bit_length()
 
 

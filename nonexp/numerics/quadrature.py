@@ -1,7 +1,7 @@
 """Probability laws of ``scipy.stats`` as few weighted values.
 
-The expectation of any function that is smooth over a factor of two is the same for the law and for
-its nodes, to about ten digits, wherever on the half-line the function picks its part of the law.
+For any function that varies smoothly over a factor of two in its argument, the expectation over the
+nodes agrees with that over the law to about ten digits, whatever part of the law it weights.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ __all__ = ["MOST_NODES", "nodes_of_law"]
 
 MOST_NODES = 8192
 
-# Within this range of S a law is resolved; what lies outside keeps its mass and its mean.
+# The range of S in which a law is resolved. Outside, only its mass and its mean are kept.
 _LEAST, _MOST = 1e-16, 1e11
 _POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 _MOST_PANELS = 256
@@ -45,7 +45,8 @@ def nodes_of_law(owner: str, name: str, args: Sequence[float]) -> tuple[Any, Any
         found = f"from {_LEAST:g} to {_MOST:g} its density adds up to {total:.6g}"
         raise ValueError(f"{label} cannot be integrated: {found}")
     sigma = np.maximum(sigma, 0)
-    # Values that no expectation above 1e-30 can feel: hardly any of the law, or of the moments.
+    # Leave out values too rare, and too small a part of the moments, to change any expectation
+    # above 1e-30.
     felt = weight > 1e-60
     felt &= (sigma <= weight @ sigma) | (weight * sigma**2 > 1e-18 * (weight @ sigma**2))
     if np.count_nonzero(felt) > MOST_NODES:
@@ -119,7 +120,7 @@ def _resolved(label: str, law: Any, low: float, high: float) -> tuple[Any, Any]:
         return np.exp(log_density(np.exp(x)) + x)
 
     octaves = np.linspace(np.log(first), np.log(last), int(np.log2(last / first)) + 2)
-    # A narrow law must not fall between the points: panels about its middle, as wide as it is.
+    # A narrow law must not fall between the points: add panels of its own width about its median.
     steps = (three - quarter) * np.concatenate([[0], 2.0 ** np.arange(60)])
     around = np.concatenate([median - steps, median + steps])
     around = np.log(around[(around > first) & (around < last)])
@@ -164,8 +165,8 @@ def _lump(log_density: Callable[[Any], Any], t: float, ratio: float) -> tuple[fl
 def _panels(density: Callable[[Any], Any], edges: Any, tolerance: float) -> tuple[Any, Any]:
     """Points and weights of Gauss rules on panels that are halved until halving changes nothing.
 
-    What a panel may be wrong by is set by the least expectation that it enters, that of
-    ``S^2 exp(-S tau)``: a share ``tolerance`` of the second moment of itself and all below.
+    The allowed error of a panel follows from the smallest expectation that it contributes to, that
+    of ``S^2 exp(-S tau)``: ``tolerance`` times the second moment of this panel and all below.
     """
 
     def rule(low: Any, high: Any) -> Any:

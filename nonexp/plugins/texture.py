@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Any
 
 import drjit as dr
@@ -15,7 +14,7 @@ from nonexp import models
 from nonexp.numerics.lookup import tables_in
 from nonexp.transmittance import Transmittance, parameters
 from nonexp.transmittance.functions import load_function
-from nonexp.transmittance.kinds import kind_of
+from nonexp.transmittance.kinds import kind_of, parameters_of
 
 
 class TransmittanceTexture(mi.Texture):
@@ -31,9 +30,9 @@ class TransmittanceTexture(mi.Texture):
     def __init__(self, key: str, props: mi.Properties) -> None:
         super().__init__(props)
         self.key = key
-        fields = dataclasses.fields(models.registry[key])  # type: ignore[arg-type]
-        self._kinds = {field.name: kind_of(field) for field in fields}
-        # Each field of the model is in one of these:
+        self._fields = parameters_of(models.registry[key])
+        self._kinds = {name: kind_of(field) for name, field in self._fields.items()}
+        # Each parameter of the model is in one of these:
         self.values: dict[str, Any] = {}  # arrays, which mi.traverse finds
         self._components: dict[str, list[TransmittanceTexture]] = {}
         self._fixed: dict[str, Any] = {}  # names, files and functions
@@ -41,7 +40,7 @@ class TransmittanceTexture(mi.Texture):
 
         checked = models.create(key, **self._given(props))
         for name, kind in self._kinds.items():
-            value = getattr(checked, name)
+            value = getattr(checked, self._fields[name].name)
             if isinstance(kind, parameters.Components):
                 if name not in self._components:
                     parts = [models.to_dict(model) for model in value]
@@ -121,7 +120,7 @@ class TransmittanceTexture(mi.Texture):
         dr.make_opaque(self.values)  # so that other values need no other kernel
         for name, kind in self._kinds.items():
             if isinstance(kind, parameters.Vector):
-                dr.eval(getattr(model, name))
+                dr.eval(getattr(model, self._fields[name].name))
         self._accepted = {name: type(value)(value) for name, value in self.values.items()}
         # dr.freeze finds what a kernel reads in attributes: tables too, which first use makes.
         for law in (model.ff, model.pf):

@@ -12,11 +12,13 @@ import re
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 __all__ = [
     "LLVM_VARIABLE",
     "MachineError",
     "Report",
+    "array_types",
     "check_variant",
     "choose_variant",
     "find_llvm",
@@ -168,6 +170,24 @@ def inspect() -> Report:
 def llvm_problem() -> str | None:
     """Why Dr.Jit's LLVM backend does not work on this machine, and what to do; None if it does."""
     return _llvm_problem(*_llvm())
+
+
+def array_types() -> Any:
+    """The module of differentiable Dr.Jit arrays (``Float64`` ...) of a backend that works here.
+
+    LLVM where it works, else CUDA; needs no Mitsuba variant. Raises :class:`MachineError` where
+    neither works.
+    """
+    import drjit as dr
+
+    problem = llvm_problem()
+    if problem is None:
+        import drjit.llvm.ad as arrays
+    elif dr.has_backend(dr.JitBackend.CUDA):
+        import drjit.cuda.ad as arrays
+    else:
+        raise MachineError(problem)
+    return arrays
 
 
 def _llvm() -> tuple[str | None, tuple[int, int, int] | None]:

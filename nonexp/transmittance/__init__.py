@@ -5,7 +5,8 @@
 ``parameters``     kinds of parameters that a law can have (``kinds``: what they have in common)
 ``choice``         choosing one of several alternatives, for mixtures
 ``piecewise``      laws that are curves through points
-``columns``        measured transmittances in tables
+``columns``        tables of transmittances, from text and NPZ files
+``shown``          how laws and fits show themselves in Jupyter
 ``functions``      Python functions that scene files name
 =================  ===============================================================================
 """

@@ -11,7 +11,7 @@ from ..numerics import filled, select
 from . import Draw, Transmittance
 from .parameters import check, number
 
-__all__ = ["check_extinction", "pick", "replayed", "weights"]
+__all__ = ["pick", "replayed", "require_extinction", "weights"]
 
 _STEP = 2.0**-23  # of random numbers in single precision
 
@@ -35,7 +35,7 @@ def weights(model: Transmittance, given: tuple[Any, ...], items: str) -> tuple[A
     return given
 
 
-def check_extinction(model: Transmittance) -> None:
+def require_extinction(model: Transmittance) -> None:
     """Raise ``ValueError`` unless the mean extinction of a mixture is positive and finite."""
     check(f"mean extinction of {type(model).__name__}", model.sigma_bar, above=0)
 
@@ -43,8 +43,9 @@ def check_extinction(model: Transmittance) -> None:
 def pick(draw: Draw, shares: Sequence[Any], values: Sequence[Any]) -> Any:
     """One of ``values``, each with a probability proportional to its share (>= 0, sum > 0).
 
-    A share of zero is never picked. Shares far below the step of single-precision random numbers
-    get their due all the same: a second number refines the first. A choice among one takes none.
+    A share of zero is never picked. In single precision a second random number refines the first,
+    so that shares far below its step are picked with the right probability. A choice from a single
+    value draws no number.
     """
     if len(values) == 1:
         return values[0]
@@ -65,9 +66,9 @@ def pick(draw: Draw, shares: Sequence[Any], values: Sequence[Any]) -> Any:
 
 
 def replayed(draw: Draw) -> Callable[[], Draw]:
-    """Sequences of the same random numbers, for alternatives of which only one is taken.
+    """Replays the same random numbers for alternatives of which only one is used.
 
-    Each call of the result begins ``draw`` anew: ``numbers = replayed(draw)``, then
+    Each call of the result starts from the first number again: ``numbers = replayed(draw)``, then
     ``a.sample_f(numbers())`` and ``b.sample_f(numbers())``.
     """
     drawn: list[Any] = []

@@ -18,7 +18,7 @@ import drjit as dr
 
 from .contract import Transmittance
 from .functions import load_function
-from .kinds import Kind, kind_of
+from .kinds import Kind, kind_of, number, parameters_of, single
 
 __all__ = [
     "Components",
@@ -35,6 +35,7 @@ __all__ = [
     "kind_of",
     "number",
     "parameter",
+    "parameters_of",
     "text",
     "vector",
     "whole",
@@ -45,6 +46,8 @@ _REQUIRED = dataclasses.MISSING
 
 @dataclasses.dataclass(frozen=True)
 class _Range:
+    """Finite numbers greater than ``above``, from ``least`` to ``most``."""
+
     above: float = -math.inf
     least: float = -math.inf
     most: float = math.inf
@@ -62,7 +65,7 @@ class _Range:
         return f">= {self.least:g}" if self.least > -math.inf else ""
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class Number(Kind):
     """A finite real number, or a Dr.Jit array that holds one."""
 
@@ -74,26 +77,26 @@ class Number(Kind):
         return _own(value)
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class Whole(Kind):
     """A whole number: part of the program, so that another one means another kernel."""
 
     range: _Range = _Range()
 
     def accept(self, label: str, value: Any) -> int:
-        number = _single(value)
+        plain = single(value)
         if (
-            isinstance(number, bool)
-            or not isinstance(number, Real)
-            or not (float(number).is_integer() and float(number) in self.range)
+            isinstance(plain, bool)
+            or not isinstance(plain, Real)
+            or not (float(plain).is_integer() and float(plain) in self.range)
         ):
-            shown = f"{float(number):g}" if isinstance(number, Real) else repr(number)
+            shown = f"{float(plain):g}" if isinstance(plain, Real) else repr(plain)
             low, high = self.range.least, self.range.most
             raise ValueError(f"{label} is {shown}: it must be a whole number {low:g} to {high:g}")
-        return int(float(number))
+        return int(float(plain))
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class Vector(Kind):
     """Finite real numbers; from a sequence, a Dr.Jit or NumPy array, or a string "0.2, 1.8"."""
 
@@ -106,10 +109,10 @@ class Vector(Kind):
             _check(f"{label}[{position}]", item, self.range)
         if self.differentiable:
             return tuple(_own(item) for item in items)
-        return tuple(float(_single(item)) for item in items)
+        return tuple(map(number, items))
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class Text(Kind):
     """A string, or what the model itself makes of it."""
 
@@ -122,7 +125,7 @@ class Text(Kind):
         return os.fspath(value)
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class Function(Kind):
     """A Python function, or the string ``module:function`` that names it."""
 
@@ -130,7 +133,7 @@ class Function(Kind):
         return value if callable(value) else load_function(label, value)
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class Components(Kind):
     """Other transmittance models, in order."""
 
@@ -158,6 +161,8 @@ def parameter(
     least: float = -math.inf,
     most: float = math.inf,
     same_as: str | None = None,
+    scales: int = 0,
+    scene_name: str | None = None,
     doc: str = "",
 ) -> Any:
     """A finite real parameter greater than ``above``, within [``least``, ``most``].
@@ -165,15 +170,23 @@ def parameter(
     Making a model with a value outside raises ``ValueError`` with the name, the value and the
     allowed range. A Dr.Jit array passes if it holds one such number. ``same_as`` names the
     parameter whose value is taken where none is given.
+
+    ``scales`` says how the parameter depends on the unit of optical depth: 1 as a length, -1 as an
+    extinction or a rate, 0 (the default) not at all. Declare it for all parameters of a law or for
+    none: with other units of depth the law must be the same one, of scaled parameters. Fits then
+    know that ``sigma_t`` would only repeat that scale; without it no scale is assumed.
+
+    ``scene_name`` is the name in scenes and for ``models.create``, if not the field's.
     """
     allowed = _Range(above, least, most)
-    return _field(default, Number(doc, str(allowed), same_as, range=allowed))
+    kind = Number(doc=doc, limits=str(allowed), scene_name=scene_name, range=allowed)
+    return _field(default, dataclasses.replace(kind, same_as=same_as, scales=scales))
 
 
 def whole(default: int, *, least: int, most: int, doc: str = "") -> Any:
     """A whole number from ``least`` to ``most``. Each value makes a kernel of its own."""
     allowed = _Range(least=least, most=most)
-    return _field(default, Whole(doc, f"{least} to {most}", range=allowed))
+    return _field(default, Whole(doc=doc, limits=f"{least} to {most}", range=allowed))
 
 
 def vector(
@@ -183,31 +196,37 @@ def vector(
     least: float = -math.inf,
     most: float = math.inf,
     differentiable: bool = True,
+    scales: int = 0,
+    relative: bool = False,
+    scene_name: str | None = None,
     doc: str = "",
 ) -> Any:
     """Any number of finite reals, each in the range; a tuple of scalars in the model.
 
     In scene files it is a string, ``"0.2, 1.8"``. With ``differentiable=False`` they become plain
-    floats, for models that make tables of them. An empty default means: not given.
+    floats, for models that make tables of them. An empty default means: not given. ``relative``
+    says that only the ratios of the numbers count, as of weights; ``scales`` and ``scene_name``
+    are those of :func:`parameter`.
     """
     allowed = _Range(above, least, most)
-    kind = Vector(doc, str(allowed), range=allowed, differentiable=differentiable)
-    return _field(default, kind)
+    kind = Vector(doc=doc, limits=str(allowed), scene_name=scene_name, range=allowed)
+    kind = dataclasses.replace(kind, scales=scales, relative=relative)
+    return _field(default, dataclasses.replace(kind, differentiable=differentiable))
 
 
 def text(default: Any = "", *, is_file: bool = False, doc: str = "") -> Any:
     """A string, perhaps a file's name, which the model checks itself."""
-    return _field(default, Text(doc, is_file=is_file))
+    return _field(default, Text(doc=doc, is_file=is_file))
 
 
-def function(default: Any = _REQUIRED, *, doc: str = "") -> Any:
+def function(default: Any = _REQUIRED, *, scene_name: str | None = None, doc: str = "") -> Any:
     """A Python function, or its name as ``module:function``."""
-    return _field(default, Function(doc))
+    return _field(default, Function(doc=doc, scene_name=scene_name))
 
 
 def components(default: Any = _REQUIRED, *, doc: str = "") -> Any:
     """Other models, in order; in scenes nested ``transmittance_<model>`` textures."""
-    return _field(default, Components(doc))
+    return _field(default, Components(doc=doc))
 
 
 def describe(field: dataclasses.Field[Any]) -> str:
@@ -215,6 +234,7 @@ def describe(field: dataclasses.Field[Any]) -> str:
     kind, default = kind_of(field), field.default
     if kind is None:
         return field.name
+    name = kind.scene_name or field.name
     if kind.same_as is not None:
         shown = f" = {kind.same_as}"
     elif isinstance(kind, Components) and isinstance(default, tuple):
@@ -226,7 +246,7 @@ def describe(field: dataclasses.Field[Any]) -> str:
     else:
         shown = f" = {default}" if default else ""
     limits = f" ({kind.limits})" if kind.limits else ""
-    return f"{field.name}{shown}{limits}: {kind.doc}"
+    return f"{name}{shown}{limits}: {kind.doc}"
 
 
 def check(
@@ -244,11 +264,6 @@ def check(
     _check(label, value, _Range(above, least, most))
 
 
-def number(value: Any) -> float:
-    """The number in a Python float or in an array of width 1, without its derivatives."""
-    return float(_single(value))
-
-
 # --------------------------------------------------------------------------------------------------
 
 
@@ -262,29 +277,20 @@ def _field(default: Any, kind: Kind) -> Any:
     return dataclasses.field(default=default, metadata=metadata)
 
 
-def _single(value: Any) -> Any:
-    """The number in a Dr.Jit or NumPy array of width 1; anything else as it is."""
-    if dr.is_array_v(value) and len(value) == 1:
-        return dr.detach(value)[0]
-    if not dr.is_array_v(value) and getattr(value, "shape", None) in ((), (1,)):
-        return value.item()
-    return value
-
-
 def _own(value: Any) -> Any:
     """A checked number as models compute with it: scalars of NumPy do not mix with Dr.Jit."""
     if dr.is_array_v(value) or type(value) in (int, float):
         return value
-    return float(_single(value))
+    return number(value)
 
 
 def _check(label: str, value: Any, allowed: _Range) -> None:
-    number = _single(value)
+    plain = single(value)
     words = f"a finite number {allowed}".rstrip()
-    if isinstance(number, bool) or not isinstance(number, Real):
+    if isinstance(plain, bool) or not isinstance(plain, Real):
         raise ValueError(f"{label} is {value!r}: it must be {words}")
-    if float(number) not in allowed:
-        raise ValueError(f"{label} is {float(number):g}: it must be {words}")
+    if float(plain) not in allowed:
+        raise ValueError(f"{label} is {float(plain):g}: it must be {words}")
 
 
 def _items(label: str, value: Any, allowed: _Range) -> tuple[Any, ...]:

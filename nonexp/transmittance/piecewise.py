@@ -12,7 +12,8 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import drjit as dr
 import numpy as np
@@ -88,6 +89,17 @@ def hermite(tau: Any, ff: Any, slope: Any) -> Curve:
     return Curve(np.insert(tau, i + 1, inner[i]), np.insert(slope, i + 1, middle), float(ff[-1]))
 
 
+class _Tables(NamedTuple):
+    """A curve and its tail as kernels look them up, and the depths where pp jumps."""
+
+    knots: Table
+    pieces: Table
+    by_ff: Table
+    by_pf: Table
+    whole: Table
+    kinks: tuple[float, ...]
+
+
 class Piecewise(Transmittance):
     """Base of models that are a :class:`Curve` and its exponential tail.
 
@@ -95,24 +107,22 @@ class Piecewise(Transmittance):
     round up to the same power of two share one.
     """
 
-    _curve: ClassVar[Curve]  # these belong to instances, but are no parameters
-    _knots: ClassVar[Table]
-    _pieces: ClassVar[Table]
-    _by_ff: ClassVar[Table]
-    _by_pf: ClassVar[Table]
-    _whole: ClassVar[Table]
-    _kinks: ClassVar[tuple[float, ...]]
-
     @abstractmethod
-    def fit(self) -> Curve:
+    def make_curve(self) -> Curve:
         """The curve, from the model's parameters; ``ValueError`` if they allow none."""
 
     def prepare(self) -> None:
-        self._set_curve(self.fit())
+        _ = self._tables  # made now: errors belong to construction
 
-    def _set_curve(self, curve: Curve) -> None:
+    @cached_property
+    def _curve(self) -> Curve:
+        return self.make_curve()
+
+    @cached_property
+    def _tables(self) -> _Tables:
         # The first piece is halved: next to 0 it is expanded about 0, where T = 1 exactly. All
         # others are expanded about their right ends, so that only positive terms are added.
+        curve = self._curve
         knots = np.insert(curve.knots, 1, curve.knots[1] / 2)
         slope = np.insert(curve.slope, 1, (curve.slope[0] + curve.slope[1]) / 2)
         ff, pf = _accumulated(knots, slope, curve.rest), slope / slope[0]
@@ -129,16 +139,14 @@ class Piecewise(Transmittance):
         whole = [slope[0], end, rest, pf[-1], rate, 1 / rate if fading else 0.0]
         jumps = np.flatnonzero(np.diff(pieces[:, 5]) != 0) + 1
         kinks = {*knots[jumps[jumps > 1]].tolist(), *(where for where, _ in _atoms(curve))}
-        for name, value in {
-            "_curve": curve,
-            "_knots": Table(knots[:, None]),
-            "_pieces": Table(pieces),
-            "_by_ff": Table(-ff[:, None]),
-            "_by_pf": Table(-pf[:, None]),
-            "_whole": Table([whole]),
-            "_kinks": tuple(sorted(kinks)),
-        }.items():
-            object.__setattr__(self, name, value)
+        return _Tables(
+            knots=Table(knots[:, None]),
+            pieces=Table(pieces),
+            by_ff=Table(-ff[:, None]),
+            by_pf=Table(-pf[:, None]),
+            whole=Table([whole]),
+            kinks=tuple(sorted(kinks)),
+        )
 
     @property
     def sigma_bar(self) -> Any:
@@ -150,15 +158,14 @@ class Piecewise(Transmittance):
 
     @property
     def kinks(self) -> tuple[Any, ...]:
-        return self._kinks
+        return self._tables.kinks
 
     def ff(self, tau: Any) -> Any:
         depth, part, fade, (pf, rise, ff, _) = self._at(tau)
-        sigma_bar = self._whole.row(tau, 0)[0]
-        return (ff + sigma_bar * depth * (pf + rise * (0.5 * part))) * fade
+        return (ff + self._sigma_bar_for(tau) * depth * (pf + rise * (0.5 * part))) * fade
 
-    def fp(self, tau: Any) -> Any:  # sigma_bar from the table, not as a number in the kernel
-        return self._whole.row(tau, 0)[0] * self.pf(tau)
+    def _sigma_bar_for(self, tau: Any) -> Any:
+        return self._tables.whole.row(tau, 0)[0]
 
     def pf(self, tau: Any) -> Any:
         _, part, fade, (pf, rise, _, _) = self._at(tau)
@@ -171,8 +178,8 @@ class Piecewise(Transmittance):
     def sample_f(self, draw: Draw) -> Any:
         u = draw()
         left = 1 - u
-        sigma_bar, end, rest, _, _, mean = self._whole.row(u, 0)
-        centre, width, pf, rise, ff, _ = self._pieces.row(u, self._by_ff.find(-left))
+        sigma_bar, end, rest, _, _, mean = self._tables.whole.row(u, 0)
+        centre, width, pf, rise, ff, _ = self._tables.pieces.row(u, self._tables.by_ff.find(-left))
         # rise/2 part^2 + pf part = area/(sigma_bar width), in units of pf at the far end
         far = dr.maximum(pf + rise, _LEAST)
         near, area = pf / far, (left - ff) / (sigma_bar * width) / far
@@ -185,8 +192,8 @@ class Piecewise(Transmittance):
     def sample_p(self, draw: Draw) -> Any:
         u = draw()
         left = 1 - u
-        _, end, _, last, _, mean = self._whole.row(u, 0)
-        centre, width, pf, rise, _, _ = self._pieces.row(u, self._by_pf.find(-left))
+        _, end, _, last, _, mean = self._tables.whole.row(u, 0)
+        centre, width, pf, rise, _, _ = self._tables.pieces.row(u, self._tables.by_pf.find(-left))
         inside = _within(centre, width, dr.abs(left - pf), dr.abs(rise))
         beyond = end + mean * dr.log(dr.maximum(last, _LEAST) / left)
         return select(left > last, inside, beyond)
@@ -194,8 +201,8 @@ class Piecewise(Transmittance):
     def _at(self, tau: Any) -> tuple[Any, Any, Any, tuple[Any, ...]]:
         """Distance before the centre of the piece, in its widths too, fading of the tail, the rest
         of the piece."""
-        _, end, _, _, rate, _ = self._whole.row(tau, 0)
-        centre, width, *piece = self._pieces.row(tau, self._knots.find(tau))
+        _, end, _, _, rate, _ = self._tables.whole.row(tau, 0)
+        centre, width, *piece = self._tables.pieces.row(tau, self._tables.knots.find(tau))
         before = tau < end
         depth = select(before, centre - tau, 0)
         fade = dr.exp(-rate * select(before, 0, dr.minimum(tau - end, _FARTHEST)))
