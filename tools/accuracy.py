@@ -25,8 +25,8 @@ TEXT = """\
 # Accuracy in single precision
 
 Largest relative error of each function of each model, divided by 1 + |ln value|, in units of 1e-7
-(neighbouring single-precision numbers differ by a relative 0.6e-7 to 1.2e-7), and the parameters and
-optical depth where it occurs. The test suite allows at most {bar:g}.
+(neighbouring single-precision numbers differ by a relative 0.6e-7 to 1.2e-7), and the parameters
+and optical depth where it occurs. The test suite allows at most {bar:g}.
 
 | model | cases | {kernels} |
 |---|---|{rules}|
@@ -37,8 +37,9 @@ of each model and on extreme parameters ({cases} cases, `tests/stability/stabili
 {count} optical depths log-spaced from 1e-8 to 1e8, {half} around the mean flight, and the float32
 numbers up to 4 steps around every kink (of many kinks, around 12). The exact values are those of
 textbook formulas in 60-digit arithmetic (`tests/stability/stability_reference.py`), for the same
-float32 parameters and depths, so that their rounding does not count. Values below 1e-30 are left out.
-`tabulated` and `custom` are compared with the curve that they make of their data, not with the data.
+float32 parameters and depths, so that their rounding does not count. Values below 1e-30 are left
+out. `tabulated` and `custom` are compared with the curve that they make of their data, not with the
+data.
 """
 
 

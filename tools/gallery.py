@@ -3,9 +3,9 @@
 .venv/bin/python tools/gallery.py [--spp 1024] [--size 320x240]
 
 The command `nonexp render` renders each image into out/gallery/. Its PNG is copied to
-docs/images/gallery/, and docs/gallery.md shows it with its command. Images that out/gallery/ already
-has at these settings are not rendered again, so an interrupted run continues (remove the folder when
-the code has changed). Nothing is denoised. Takes half an hour on two cores.
+docs/images/gallery/, and docs/gallery.md shows it with its command. Images that out/gallery/
+already has at these settings are not rendered again, so an interrupted run continues (remove the
+folder when the code has changed). Nothing is denoised. Takes half an hour on two cores.
 """
 
 from __future__ import annotations
@@ -32,24 +32,24 @@ HEAD = """\
 # Gallery
 
 Written by `tools/gallery.py`; `make gallery` renders it again. Every image is as `nonexp render`
-wrote it: the mean of its samples, tone-mapped. No image is denoised, clamped or retouched. The noise
-is the root mean square of the pixels' standard errors over the mean of the image. For another number
-of samples or another size: `make gallery GALLERY='--spp 256 --size 240x180'`.
+wrote it: the mean of its samples, tone-mapped. No image is denoised, clamped or retouched. The
+noise is the root mean square of the pixels' standard errors over the mean of the image. For another
+number of samples or another size: `make gallery GALLERY='--spp 256 --size 240x180'`.
 """
 
 DRAGON = """\
 ## A dragon in every model
 
-A golden dragon in a glass ball, 1.6 m wide, filled with media of mean extinction 1.2 per metre (except
-`constant`, which is vacuum). Only the law differs: `scenes/dragon.xml` with the media of
+A golden dragon in a glass ball, 1.6 m wide, filled with media of mean extinction 1.2 per metre
+(except `constant`, which is vacuum). Only the law differs: `scenes/dragon.xml` with the media of
 `scenes/media/`. The light comes from a lamp outside the glass.
 """
 
 FOG = """\
 ## Fog from thin to thick
 
-The camera is in the fog: `scenes/fog.xml`. In the first three images the longest flight `b` shrinks;
-the mean extinction is `1/b`. The last two images have the mean extinction of `linear` with `b = 1`.
+The camera is in the fog: `scenes/fog.xml`. In the first three images the longest flight `b`
+shrinks; the mean extinction is `1/b`. The last two images have the mean extinction of `linear` with `b = 1`.
 """
 
 
