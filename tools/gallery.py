@@ -49,7 +49,8 @@ FOG = """\
 ## Fog from thin to thick
 
 The camera is in the fog: `scenes/fog.xml`. In the first three images the longest flight `b`
-shrinks; the mean extinction is `1/b`. The last two images have the mean extinction of `linear` with `b = 1`.
+shrinks; the mean extinction is `1/b`. The last two images have the mean extinction of `linear` with
+`b = 1`.
 """
 
 
