@@ -41,9 +41,6 @@ front door: the files directly in that folder."""
 WITHOUT_MITSUBA = ("numerics", "transmittance", "models", "fitting")
 """Rooms that never import Mitsuba."""
 
-FIRST = ("nonexp/system/machine.py", "nonexp/system/version.py")
-"""Files that ``import nonexp`` runs before it has chosen the LLVM library that Dr.Jit will load."""
-
 UPWARD = {
     ("nonexp/plugins/registration.py", "integrators/volpath.py"): "Mitsuba makes the integrator by "
     "its name, when a scene asks for it; nothing of it is known below",
@@ -51,16 +48,12 @@ UPWARD = {
 """Arrows that run upward all the same: names in strings only, each with the reason."""
 
 COMPUTED = {
-    "nonexp/models/__init__.py": "imports every file of its own folder",
-    "nonexp/cli/main.py": "imports the command's modules, files of its own folder",
     "nonexp/plugins/registration.py": "imports what its tables of strings name",
     "nonexp/transmittance/functions.py": "imports modules of users, which scene files name",
     "nonexp/bench/measure.py": "imports the module of a user's integrator",
 }
-"""Files that import modules by computed names, each with what these are."""
-
-OWN_FOLDER = ("nonexp/models/__init__.py", "nonexp/cli/main.py")
-"""Those of them that import the files beside them."""
+"""Files that import modules by computed names, each with what these are. Those that import the
+files beside them, by a name that begins with ``__package__``, need no mention."""
 
 SAME_NAME = {
     ("nonexp/fitting/__init__.py", "fit"): "nonexp.fitting.fit has been the function since 0.1",
@@ -101,6 +94,8 @@ class Imports:
     """to other packages"""
     faults: list[str] = field(default_factory=list)
     """of modules that do not exist, or that cannot be read"""
+    wanted: list[tuple[str, int, str, str]] = field(default_factory=list)
+    """names that a file imports from another: file, line, name, the other file"""
     computed: set[str] = field(default_factory=set)
     """files that import modules of computed names"""
 
@@ -111,11 +106,13 @@ class House(Imports):
     def __init__(self, sources: Mapping[str, str]) -> None:
         super().__init__()
         self.sources = sources
+        files = frozenset(sources)
         for file, text in sorted(sources.items()):
-            found = read(file, text, frozenset(sources))
+            found = read(file, text, files)
             self.arrows += found.arrows
             self.outside += found.outside
             self.faults += found.faults
+            self.wanted += found.wanted
             self.computed |= found.computed
 
 
@@ -125,15 +122,24 @@ def parsed(text: str) -> ast.Module:
 
 
 @cache
+def names_in(text: str) -> frozenset[str]:
+    """All names that a file binds, local ones too; a star if it imports another file's."""
+    found: set[str] = set()
+    for node in ast.walk(parsed(text)):
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            found |= {alias.asname or alias.name for alias in node.names}
+        elif isinstance(node, ast.FunctionDef | ast.ClassDef):
+            found.add(node.name)
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            found.add(node.id)
+    return frozenset(found)
+
+
+@cache
 def read(file: str, text: str, files: frozenset[str]) -> Imports:
     """The imports of one file among these."""
     reader = Reader(file, files)
     reader.visit(parsed(text))
-    if file in OWN_FOLDER:
-        for other in sorted(files):
-            path = PurePosixPath(other)
-            if path.parent == PurePosixPath(file).parent and path.name != "__init__.py":
-                reader.arrow(1, other, by_name=True)
     return reader.found
 
 
@@ -187,6 +193,8 @@ class Reader(ast.NodeVisitor):
         for alias in node.names:
             inner = f"{base}.{alias.name}"
             self.module(node.lineno, inner if inner in self.files else base)
+            if base in self.files and inner not in self.files:
+                self.found.wanted.append((self.file, node.lineno, alias.name, self.files[base]))
 
     def absolute(self, name: str) -> str:
         """The full name of a module that may be given relative to this file."""
@@ -204,6 +212,12 @@ class Reader(ast.NodeVisitor):
             if isinstance(given, ast.Constant) and isinstance(given.value, str):
                 self.module(node.lineno, self.absolute(given.value), by_name=True)
                 return
+            if self.beside(given):
+                for other in sorted(self.files.values()):
+                    path = PurePosixPath(other)
+                    if path.parent == PurePosixPath(self.file).parent and path.stem != "__init__":
+                        self.arrow(node.lineno, other, by_name=True)
+                return
             self.found.computed.add(self.file)
             if self.file not in COMPUTED:
                 self.found.faults.append(
@@ -211,6 +225,19 @@ class Reader(ast.NodeVisitor):
                     "name the file in COMPUTED, with what it imports"
                 )
         self.generic_visit(node)
+
+    def beside(self, name: ast.expr | None) -> bool:
+        """Whether a computed name is that of a file in the same folder: f"{__package__}.{name}"."""
+        if not isinstance(name, ast.JoinedStr) or len(name.values) < 2:
+            return False
+        first, dot = name.values[:2]
+        own = {"__package__", "__name__"} if self.file.endswith("__init__.py") else {"__package__"}
+        return (
+            isinstance(first, ast.FormattedValue)
+            and ast.unparse(first.value) in own
+            and isinstance(dot, ast.Constant)
+            and dot.value == "."
+        )
 
     def visit_Expr(self, node: ast.Expr) -> None:
         if not isinstance(node.value, ast.Constant):  # docstrings are prose
@@ -288,6 +315,9 @@ def _circle(onward: Mapping[str, Mapping[str, Arrow]], start: str) -> list[Arrow
 def named(house: House) -> Iterator[str]:
     """Imports that cannot be followed, and exceptions that nothing needs."""
     yield from house.faults
+    for file, line, name, to in house.wanted:
+        if name != "*" and not {name, "*"} & names_in(house.sources[to]):
+            yield f"{file}, line {line}: there is no {name} in {to}"
     for file in COMPUTED.keys() - house.computed:
         yield f"{file} imports no module of a computed name: take it out of COMPUTED"
     by_name = {(arrow.file, arrow.to) for arrow in house.arrows if arrow.by_name}
@@ -297,16 +327,23 @@ def named(house: House) -> Iterator[str]:
 
 def mitsuba(house: House) -> Iterator[str]:
     """Imports of Mitsuba where it is not known, or before LLVM has been chosen."""
-    first = list(FIRST)
+    door = "nonexp/__init__.py"
+    chosen = next(
+        node.lineno
+        for node in parsed(house.sources[door]).body
+        if isinstance(node, ast.Expr) and "select_llvm()" in ast.unparse(node)
+    )
+    first = [door]  # what runs before that line
     for file in first:
         for arrow in house.arrows:
-            if arrow.file == file and arrow.to not in first and not arrow.deferred:
+            early = file != door or arrow.line < chosen
+            if arrow.file == file and early and not arrow.deferred and arrow.to not in first:
                 first.append(arrow.to)
     for arrow in house.outside:
         room = room_of(arrow.file)
         if arrow.to == "mitsuba" and room in WITHOUT_MITSUBA:
             yield f"{arrow}: {room} works without Mitsuba"
-        if arrow.to in ("mitsuba", "drjit") and arrow.file in first and not arrow.deferred:
+        if arrow.to in ("mitsuba", "drjit") and arrow.file in first[1:] and not arrow.deferred:
             yield f"{arrow} before LLVM is chosen: import it inside a function"
 
 
@@ -413,12 +450,16 @@ PLANTED = (
     (circles, "nonexp/cli/render.py", "from . import main", "nonexp/cli/"),
     (circles, PASSES, "x = 1\nfrom .render import render", RENDER),
     (named, GAMMA, INSIDE + "from ..numerics.gone import x", "nonexp.numerics.gone"),
+    (named, GAMMA, INSIDE + "from ..numerics.special import gone", "gone in nonexp/numerics/"),
     (named, GAMMA, "import integrators.volpath", "nonexp.integrators.volpath"),
+    (circles, "nonexp/scene/messages.py", 'import_module(f"{__package__}.{x}")', "scene/files.py"),
     (named, GAMMA, "import_module(name)", "computed"),
+    (named, GAMMA, 'import_module(f"{__name__}.{name}")', "computed"),
     (named, GAMMA, 'import_module(f"nonexp.{name}")', "computed"),
     (mitsuba, GAMMA, INSIDE + "import mitsuba as mi", "mitsuba"),
     (mitsuba, "nonexp/fitting/plot.py", "from mitsuba import Bitmap", "mitsuba"),
     (mitsuba, "nonexp/system/machine.py", "import drjit as dr", "drjit"),
+    (mitsuba, "nonexp/system/version.py", "from mitsuba import Bitmap", "mitsuba"),
     (variants, "integrators/report.py", "from .volpath import NonexpVolpath", "volpath.py"),
     (variants, "integrators/report.py", "class Mine(mi.Texture):\n    pass", "class Mine"),
     (facades, "nonexp/images/__init__.py", "from .compare import compare", "nonexp.images.compare"),
