@@ -440,7 +440,7 @@ PLANTED = (
     (upward, "integrators/jit.py", "from .. import rendering", "nonexp/rendering/__init__.py"),
     (upward, "integrators/jit.py", "from ..images import exr", "nonexp/images/exr.py"),
     (upward, "nonexp/fitting/fit.py", "from ..images import exr", "nonexp/images/exr.py"),
-    (upward, RENDER, "from ..cli.main import main", "nonexp/cli/main.py"),
+    (upward, RENDER, "from .. import cli", "nonexp/cli/__init__.py"),
     (upward, "nonexp/plugins/registration.py", "from ..integrators import volpath", "volpath.py"),
     (circles, GAMMA, "from . import names", "nonexp/models/__init__.py"),
     (circles, GAMMA, "from .mixture import Mixture", "nonexp/models/mixture.py"),
