@@ -6,5 +6,5 @@ import drjit as dr
 
 
 def soft_repulsion(tau: Any) -> Any:
-    """T = 1 - tanh(tau): collisions right after one another are rare, pp(0) = 0."""
+    """T = 1 - tanh(tau): short flights between collisions are rare, pp(0) = 0."""
     return 2 / (1 + dr.exp(2 * tau))

@@ -1,4 +1,4 @@
-"""Measure the accuracy of every model in single precision, and write docs/accuracy.md (a minute).
+"""Measure the error of every model in single precision, and write docs/accuracy.md (a minute).
 
 .venv/bin/pip install -e '.[test]' && .venv/bin/python tools/accuracy.py
 """
@@ -25,8 +25,8 @@ TEXT = """\
 # Accuracy in single precision
 
 Largest relative error of each function of each model, divided by 1 + |ln value|, in units of 1e-7
-(one step of single precision is a relative 0.6e-7 to 1.2e-7), and the parameters and the optical
-depth where it occurs. The test suite demands at most {bar:g}.
+(neighbouring single-precision numbers differ by a relative 0.6e-7 to 1.2e-7), and the parameters
+and optical depth where it occurs. The test suite allows at most {bar:g}.
 
 | model | cases | {kernels} |
 |---|---|{rules}|
@@ -36,10 +36,10 @@ Measured by `tools/accuracy.py`: all functions in float32 on Dr.Jit's LLVM backe
 of each model and on extreme parameters ({cases} cases, `tests/stability/stability_cases.py`), at
 {count} optical depths log-spaced from 1e-8 to 1e8, {half} around the mean flight, and the float32
 numbers up to 4 steps around every kink (of many kinks, around 12). The exact values are those of
-textbook formulas in 60-digit arithmetic (`tests/stability/stability_reference.py`), which take the
-same float32 parameters and depths, so that rounding of these does not count. Values below 1e-30 are
-left out. `tabulated` and `custom` are measured against the curve that they make of their data, not
-against the data.
+textbook formulas in 60-digit arithmetic (`tests/stability/stability_reference.py`), for the same
+float32 parameters and depths, so that their rounding does not count. Values below 1e-30 are left
+out. `tabulated` and `custom` are compared with the curve that they make of their data, not with the
+data.
 """
 
 
@@ -50,6 +50,7 @@ def described(position: int) -> str:
 
 
 def rows() -> Iterator[str]:
+    """The table: one row per model, with the largest error of each function and where it occurs."""
     for key in models.names():
         mine = [i for i, case in enumerate(CASES) if case[0] == key]
         cells = []

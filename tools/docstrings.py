@@ -1,4 +1,4 @@
-"""Docstrings of this project (a little of reStructuredText) as Markdown."""
+"""Docstrings of this project (a subset of reStructuredText) as Markdown."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def markdown(docstring: str | None) -> str:
 
 
 def manual(thing: Any) -> str:
-    """The docstring of a class or function as Markdown; empty if it has none of its own."""
+    """The docstring of a class or function as Markdown; empty if it has none itself."""
     own = vars(thing).get("__doc__") if inspect.isclass(thing) else thing.__doc__
     return markdown(own)
 
@@ -36,7 +36,7 @@ def field_docs(cls: type) -> dict[str, str]:
 
 
 def inline(text: str) -> str:
-    """Roles and double backquotes as code; stars inside words escaped."""
+    """Roles and double backquotes become code; stars inside words are escaped."""
     text = re.sub(r":\w+:`~?([^`]+)`", lambda role: f"`{_last(role[0], role[1])}`", text)
     parts = _CODE.split(text.replace("``", "`"))
     parts[::2] = [re.sub(r"(?<=\w)\*(?=\w)", r"\\*", part) for part in parts[::2]]

@@ -1,6 +1,6 @@
-"""Render the pictures of the README and of docs/refractive.md into docs/images.
+"""Render the pictures of README.md, docs/faq.md and docs/refractive.md into docs/images.
 
-Takes 12 minutes on 2 cores, and needs the extra plot. Names choose among the pictures:
+Takes 12 minutes on 2 cores, and needs the extra plot. Arguments choose some of the pictures:
 laws, series, refractive.
 
 .venv/bin/pip install -e '.[plot]' && .venv/bin/python tools/figures.py
@@ -51,6 +51,7 @@ FIGURES = {
 
 
 def laws(scene: str, spp: int, media: dict[str, str]) -> Any:
+    """One scene in several media, side by side."""
     figure, axes = plt.subplots(1, len(media), figsize=(4 * len(media), 3.35), layout="constrained")
     for axis, (medium, title) in zip(axes, media.items(), strict=True):
         built = mi.load_file(str(ROOT / "scenes" / f"{scene}.xml"), medium=medium, **SIZE)

@@ -2,11 +2,10 @@
 
 .venv/bin/python tools/gallery.py [--spp 1024] [--size 320x240]
 
-Images are rendered by the command `nonexp render` into out/gallery/; a PNG of each goes to
-docs/images/gallery/, and docs/gallery.md is written, with the command of each image beside it. What
-out/gallery/ has already at these settings is not rendered again: an interrupted run goes on where
-it was (remove the folder when the code has changed). Nothing is denoised.
-Half an hour on two cores.
+The command `nonexp render` renders each image into out/gallery/. Its PNG is copied to
+docs/images/gallery/, and docs/gallery.md shows it with its command. Images that out/gallery/
+already has at these settings are not rendered again, so an interrupted run continues (remove the
+folder when the code has changed). Nothing is denoised. Takes half an hour on two cores.
 """
 
 from __future__ import annotations
@@ -32,25 +31,26 @@ PAGE = ROOT / "docs" / "gallery.md"
 HEAD = """\
 # Gallery
 
-Written by `tools/gallery.py`; `make gallery` renders it anew. Every image is what `nonexp render`
-wrote: the mean of its samples, tone-mapped, and nothing else. No image is denoised, clamped or
-retouched; the noise is the root mean square of the pixels' standard errors over the mean of the
-image. Other numbers of samples and sizes: `make gallery GALLERY='--spp 256 --size 240x180'`.
+Written by `tools/gallery.py`; `make gallery` renders it again. Every image is as `nonexp render`
+wrote it: the mean of its samples, tone-mapped. No image is denoised, clamped or retouched. The
+noise is the root mean square of the pixels' standard errors over the mean of the image. For another
+number of samples or another size: `make gallery GALLERY='--spp 256 --size 240x180'`.
 """
 
 DRAGON = """\
 ## A dragon in every model
 
-A dragon of gold in a ball of glass, 1.6 m wide, filled with media that have a mean extinction of
-1.2 per metre (but for `constant`, which is vacuum). Only the law differs: `scenes/dragon.xml` with
-the media of `scenes/media/`. The light comes from a lamp and must pass the glass.
+A golden dragon in a glass ball, 1.6 m wide, filled with media of mean extinction 1.2 per metre
+(except `constant`, which is vacuum). Only the law differs: `scenes/dragon.xml` with the media of
+`scenes/media/`. The light comes from a lamp outside the glass.
 """
 
 FOG = """\
 ## Fog from thin to thick
 
-The camera stands in the fog: `scenes/fog.xml`. In the first three the longest flight `b` shrinks;
-the mean extinction is `1/b`. The last two have the mean extinction of `linear` with `b = 1`.
+The camera is in the fog: `scenes/fog.xml`. In the first three images the longest flight `b`
+shrinks; the mean extinction is `1/b`. The last two images have the mean extinction of `linear` with
+`b = 1`.
 """
 
 
@@ -67,14 +67,14 @@ class Picture:
         return "_".join([self.scene, *self.parameters.values()]).replace(".", "p")
 
     def arguments(self, spp: int, size: str) -> list[str]:
-        """Of the command that renders it from the root of the repository."""
+        """Arguments of the command that renders it, from the root of the repository."""
         given = [f"-D {key}={value}" for key, value in self.parameters.items()]
         target = f"out/gallery/{self.name}.exr"
         line = f"render scenes/{self.scene}.xml {' '.join(given)} --spp {spp} --size {size}"
         return [*line.split(), "-o", target]
 
     def header(self) -> dict[str, Any]:
-        """What the finished EXR says of itself; empty if there is none."""
+        """The header of the finished EXR; empty if there is none."""
         path = RENDERED / f"{self.name}.exr"
         if not path.is_file():
             return {}
@@ -114,11 +114,11 @@ def pictures() -> dict[str, list[Picture]]:
 
 
 def render(wanted: Iterable[Picture], spp: int, size: str) -> None:
-    """Render what is not finished; ``SystemExit`` if one fails."""
+    """Render the images that are not finished; raises ``SystemExit`` if one fails."""
     RENDERED.mkdir(parents=True, exist_ok=True)
     for picture in wanted:
         if picture.finished(spp, size):
-            print(f"{picture.name}: finished before")
+            print(f"{picture.name}: already finished")
             continue
         arguments = picture.arguments(spp, size)
         print(f"nonexp {' '.join(arguments)}", flush=True)
@@ -139,7 +139,7 @@ def made(picture: Picture, header: dict[str, Any]) -> str:
 
 
 def page(sections: dict[str, list[Picture]], spp: int, size: str) -> str:
-    """docs/gallery.md, of the images in out/gallery."""
+    """The text of docs/gallery.md, from the images in out/gallery."""
     text = [HEAD]
     for head, members in sections.items():
         text.append(head)

@@ -1,4 +1,4 @@
-"""Who competes: integrators with their options."""
+"""The competitors: integrators with their options."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ __all__ = ["BASELINES", "COMPETITORS", "Competitor", "competing", "known", "refe
 
 @dataclass(frozen=True)
 class Competitor:
-    """An integrator, and where it takes part.
+    """An integrator, and the scenes in which it takes part.
 
-    ``properties`` go to the integrator, beside the depths of the scene; ``medium``, not None for
-    integrators that render Mitsuba's own media (only these), are properties of those. It takes
-    part in scenes that have all tags ``needs`` and none of ``not_with``; in a quick run only if
-    ``quick``. ``later`` bounces are added to the scene's ``rr_depth``.
-    ``module`` is imported first, to register a plugin of one's own.
+    ``properties`` are passed to the integrator, together with the depths of the scene. ``medium``
+    is None for integrators that render nonexp's media; otherwise the integrator renders Mitsuba's
+    own media, with these properties. It takes part in scenes that have all tags ``needs`` and none
+    of ``not_with``, and in a quick run only if ``quick``. ``later`` bounces are added to the
+    scene's ``rr_depth``. ``module`` is imported first, to register your own plugin.
     """
 
     name: str
@@ -35,18 +35,18 @@ class Competitor:
     module: str = ""
 
     def takes_part(self, case: Case) -> bool:
-        """Whether the case is one for it."""
+        """Whether it competes in the case."""
         tags = case.scene.tags
         return (
             self.needs <= tags and not self.not_with & tags and (self.medium is None or case.stock)
         )
 
     def filling(self, case: Case) -> Filling:
-        """What fills the media of the scene for this competitor."""
+        """What fills the scene's media for this competitor."""
         return Filling(case.law) if self.medium is None else Filling(None, self.medium)
 
     def integrator(self, scene: Scene) -> Any:
-        """The plugin. Raises ``RuntimeError`` where it does not know a property."""
+        """The plugin. Raises ``RuntimeError`` if it does not know a property."""
         depths = {"max_depth": scene.max_depth, "rr_depth": scene.rr_depth + self.later}
         return mi.load_dict({"type": self.plugin, **depths, **self.properties})
 
@@ -76,9 +76,9 @@ COMPETITORS = (
     ),
     Competitor("volpath tuned", "volpath", medium=GREY, needs=MEDIA, not_with=GLASS | CHROMATIC),
     Competitor("volpathmis", "volpathmis", medium={}, needs=MEDIA),
-    # It takes no notice of the medium that a camera stands in.
+    # It ignores the medium that the camera is in.
     Competitor("prbvolpath", "prbvolpath", medium={}, needs=MEDIA, not_with=CAMERA_INSIDE),
-    # Its roulette begins one bounce earlier than that of the volumetric integrators.
+    # Its Russian roulette begins one bounce earlier than that of the volumetric integrators.
     Competitor("path", "path", medium={}, not_with=MEDIA, later=1, quick=True),
 )
 """Names are unique among those that take part in one case."""
@@ -88,7 +88,7 @@ BASELINES = ("volpath", "nonexp nee=off", "nonexp")
 
 
 def known(competitor: Competitor, scene: Scene) -> bool:
-    """The plugin exists, and knows all properties."""
+    """Whether the plugin exists and knows all properties."""
     try:
         competitor.integrator(scene)
     except RuntimeError as error:
@@ -99,7 +99,7 @@ def known(competitor: Competitor, scene: Scene) -> bool:
 
 
 def competing(case: Case, quick: bool = False) -> list[Competitor]:
-    """Those that take part in a case; options that the plugin does not know are left out."""
+    """The competitors of a case, without those whose options the plugin does not know."""
     return [
         competitor
         for competitor in COMPETITORS
@@ -110,7 +110,7 @@ def competing(case: Case, quick: bool = False) -> list[Competitor]:
 
 
 def reference_competitor(case: Case) -> Competitor:
-    """Who renders the reference: Mitsuba where the law allows, else the plainest of our own."""
+    """What renders the reference: Mitsuba if the law allows it, else our simplest configuration."""
     glass = "glass" in case.scene.tags
     if case.stock:
         tuned = GREY if "chromatic" not in case.scene.tags else {}

@@ -1,8 +1,8 @@
 """Rendering passes of all competitors in turn.
 
-Each competitor lives in a process of its own, with nothing but its scene: what else is loaded
-into a process changes the kernels that Dr.Jit makes, and their speed. Only one of them works at a
-time. Passes go round in random order, so that a change of the machine's speed hits all alike.
+Each competitor runs in its own process, which holds only its scene: anything else in the process
+changes the kernels that Dr.Jit compiles, and their speed. Only one process works at a time. Passes
+take turns in random order, so that a change of the machine's speed affects all alike.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ __all__ = ["Budget", "Job", "Pass", "empty_kernel_cache", "render_timed", "run_c
 
 @dataclass(frozen=True)
 class Budget:
-    """Time to spend per competitor, the least and the largest number of passes of each, and by
-    what the samples of a pass are divided."""
+    """Seconds per competitor, the smallest and largest number of passes of each, and a divisor of
+    the samples of a pass."""
 
     seconds: float
     least: int
@@ -67,7 +67,7 @@ class Job:
         return Job(competitor, scene.name, case.law, scene.size, spp, variant)
 
     def seed(self, seed: int) -> int:
-        """Seed of its run: no two competitors share random numbers."""
+        """Seed of the competitor's run: no two competitors share random numbers."""
         name = f"{self.scene} {self.law} {self.competitor.name} {seed}"
         return int.from_bytes(hashlib.blake2b(name.encode(), digest_size=4).digest(), "little")
 
@@ -76,8 +76,8 @@ class Job:
 class Pass:
     """An image, and the time it took.
 
-    Where asked for: the number of ``operations`` of the largest kernel, whether that was
-    ``cached``, and the most ``memory`` in bytes that Dr.Jit held beyond what it held before.
+    If requested, also the number of ``operations`` of the largest kernel, whether that kernel was
+    ``cached``, and the peak ``memory`` in bytes that Dr.Jit allocated in addition.
     """
 
     image: Any
@@ -100,10 +100,10 @@ def run_case(
     seed: int = 0,
     on_pass: Callable[[str], Any] = lambda text: None,
 ) -> list[Row]:
-    """Render a case with all competitors, in turn, and work out the figures of each.
+    """Render a case with all competitors in turn, and compute the figures of each.
 
-    The number of passes follows from one timed pass of each, and is the same for all. A
-    competitor that fails gets a row that says why. ``on_pass`` is told what has been done.
+    The number of passes follows from one timed pass of each competitor, and is the same for all. A
+    competitor that fails gets a row with the reason. ``on_pass`` is called with a line of progress.
     """
     jobs = [Job.of(case, competitor, variant, budget.divide) for competitor in competitors]
     with contextlib.ExitStack() as stack:
@@ -116,7 +116,7 @@ def run_case(
         for run in runs:
             run.warm_up()
             on_pass(f"{case.name}: {run.job.competitor.name} warmed up")
-        # The warm-up pass tells how many there will be, and is not counted itself.
+        # The warm-up pass determines the number of passes, and is not counted itself.
         working = [run for run in runs if run.error is None]
         each = sum(run.looked.seconds for run in working if run.looked)
         rounds = int(budget.seconds * len(working) / each) if working else 0
@@ -130,7 +130,7 @@ def run_case(
 
 
 class _Run:
-    """A process that renders one job, and what it has rendered."""
+    """A process that renders one job, and its passes so far."""
 
     def __init__(self, job: Job, seed: int) -> None:
         self.job, self.seed = job, seed
@@ -150,21 +150,21 @@ class _Run:
         self._worker.__exit__(*exception)
 
     def wait(self) -> None:
-        """Until the scene is loaded."""
+        """Wait until the scene is loaded."""
         self._receive()
 
     def compile(self) -> None:
-        """Render one sample per pixel twice: the first image has its kernels compiled."""
+        """Render one sample per pixel twice: the first time includes compilation."""
         self.compiled, again = self._pass(1, look=True), self._pass(1)
         if self.compiled is not None and again is not None:
             self.compile_seconds = max(self.compiled.seconds - again.seconds, 0.0)
 
     def warm_up(self) -> None:
-        """A pass that is looked at, and not counted."""
+        """A pass whose kernels and memory are recorded, but which does not count."""
         self.looked = self._pass(self.job.spp, look=True)
 
     def render(self) -> None:
-        """One more pass, unless one has failed."""
+        """Render one more pass, unless one has failed."""
         done = self._pass(self.job.spp)
         if done is not None:
             self.passes.append(done)
@@ -228,11 +228,12 @@ def _serve(pipe: Any, job: Job) -> None:
 
 
 def render_timed(scene: Any, integrator: Any, seed: int, spp: int, look: bool = False) -> Pass:
-    """One image, from the call to the last kernel's end; ``look`` at the kernels and at memory."""
+    """One image, timed from the call to the end of the last kernel; ``look`` records kernels and
+    memory."""
     backend = dr.JitBackend.CUDA if "cuda" in (mi.variant() or "") else dr.JitBackend.LLVM
     dr.sync_thread()
     if look:
-        dr.flush_malloc_cache()  # what is reused is not counted
+        dr.flush_malloc_cache()  # reused memory would not be counted
     dr.detail.malloc_clear_statistics()
     held = dr.detail.malloc_watermark(backend)
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, look):

@@ -1,4 +1,4 @@
-"""References: closed forms, and long renders kept as EXR files.
+"""References: closed forms, and long renders stored as EXR files.
 
 A file holds the mean in ``R, G, B`` (32 bits), its standard error in ``stderr.R, stderr.G,
 stderr.B`` and that of the mean over channels in ``stderr.Y`` (16 bits), and how it was made in its
@@ -31,7 +31,7 @@ __all__ = ["default_folder", "load", "path", "rebuild", "relative_stderr", "writ
 
 
 def default_folder() -> Path:
-    """Where references are looked for: ``benchmarks/references`` of the source tree, or here."""
+    """Folder of the references: ``benchmarks/references`` in the source tree, or else here."""
     return (checkout() or Path.cwd()) / "benchmarks" / "references"
 
 
@@ -81,9 +81,9 @@ def rebuild(
 ) -> Reference:
     """Render the reference of a case for about ``seconds``, and write its file.
 
-    Where extinction differs between channels, each is rendered as the grey medium that it is,
-    which involves no sampling of channels. At least 8 passes are made. ``on_pass`` is told the
-    fraction done.
+    If extinction differs between channels, each channel is rendered as a grey medium, without
+    sampling of channels. At least 8 passes are rendered. ``on_pass`` is called with the fraction
+    done.
     """
     if not seconds > 0:
         raise ValueError(f"time is {seconds} s: it must be > 0")
@@ -144,7 +144,7 @@ def relative_stderr(reference: Reference) -> float:
 
 
 def write(file: Path, reference: Reference, header: dict[str, str | int | float]) -> None:
-    """Write the file; an existing one is replaced when the new one is complete."""
+    """Write the file; an existing file is replaced when the new one is complete."""
     channels = {}
     for i, name in enumerate("RGB"):
         channels[name] = np.ascontiguousarray(reference.mean[:, :, i], dtype=np.float32)

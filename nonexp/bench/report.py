@@ -34,7 +34,7 @@ __all__ = [
 
 STYLE = {**plotting.STYLE, "font.size": 8.5, "axes.titlesize": 9.5, "lines.linewidth": 1.5}
 
-# Okabe and Ito's colours, which colour-blind people can tell apart.
+# Colours of Okabe and Ito, which colour-blind people can distinguish.
 _COLOURS = (
     "#D55E00",
     "#E69F00",
@@ -50,7 +50,7 @@ _MARKERS = "o^vsDPX*<"
 
 
 def colour(name: str) -> tuple[str, str]:
-    """Colour and marker of a competitor: the same in all plots."""
+    """Colour and marker of a competitor, the same in all plots."""
     names = list(dict.fromkeys(competitor.name for competitor in COMPETITORS))
     return _style(names.index(name) if name in names else len(names))
 
@@ -63,7 +63,7 @@ def _style(place: int) -> tuple[str, str]:
 
 
 def markdown(results: Results) -> str:
-    """The whole report: what is compared, who is how efficient, and all figures of every case."""
+    """The whole report: environment, relative efficiencies, and all figures of every case."""
     about = results.environment
     lines = [
         "# Run time against error",
@@ -94,7 +94,7 @@ def markdown(results: Results) -> str:
 
 
 def summary(results: Results) -> list[str]:
-    """One table: relative efficiency of every competitor in every case; then what is biased."""
+    """A table of the relative efficiency of every competitor in every case, then biases."""
     names = list(
         dict.fromkeys(
             row.name
@@ -132,7 +132,7 @@ def summary(results: Results) -> list[str]:
 
 
 def _slopes(results: Results) -> str:
-    """Whose error does not fall as 1/N, beyond what chance does to one of so many slopes."""
+    """Competitors whose error does not fall as 1/N, corrected for the number of slopes."""
     found = [
         (case, row, row.figures.slope)
         for case in results.cases
@@ -141,7 +141,7 @@ def _slopes(results: Results) -> str:
     ]
     off, outside = [], 0
     for case, row, slope in found:
-        # Intervals at 95 % that hold all slopes jointly (Bonferroni).
+        # Joint intervals of all slopes at 95 % (Bonferroni).
         joint = 0.5 * (1 - LEVEL) / len(found)
         wider = stats.t.isf(joint, row.passes - 1) / stats.t.isf(0.5 * (1 - LEVEL), row.passes - 1)
         distance = abs(slope.value + 1)
@@ -224,7 +224,7 @@ def _number(value: Any) -> str:
 
 
 def error_plot(results: Results, path: Path) -> bool:
-    """Error against time: a panel for every case with competitors, and one for all others."""
+    """Error against time: one panel per case with competitors, and one for all others."""
     panels: list[_Panel] = [
         (case.name, partial(_errors, rows=[(row.name, row) for row in case.rows]))
         for case in results.cases
@@ -239,7 +239,7 @@ def error_plot(results: Results, path: Path) -> bool:
 
 
 def efficiency_plot(results: Results, path: Path) -> bool:
-    """Bars of relative efficiency, one panel for every case with competitors."""
+    """Bars of relative efficiency, one panel per case with competitors."""
     panels: list[_Panel] = [
         (case.name, partial(_bars, case=case))
         for case in results.cases
@@ -249,7 +249,7 @@ def efficiency_plot(results: Results, path: Path) -> bool:
 
 
 def main_plot(results: Results, path: Path) -> bool:
-    """The first case in which Mitsuba's volpath competes: error and efficiency side by side."""
+    """Error and efficiency, side by side, of the first case in which Mitsuba's volpath competes."""
     case = next((case for case in results.cases if case.baseline == "volpath"), None)
     if case is None:
         return False
@@ -259,7 +259,7 @@ def main_plot(results: Results, path: Path) -> bool:
 
 
 def _draw(panels: list[_Panel], path: Path, title: str) -> bool:
-    """Whether there was anything to draw."""
+    """Draw the panels; false if there are none."""
     import matplotlib
     from matplotlib.figure import Figure
 
@@ -306,7 +306,7 @@ def _errors(axes: Axes, rows: list[tuple[str, Row]]) -> None:
 
 
 def logarithmic(axes: Axes) -> None:
-    """Logarithmic axes of at least a decade in y, with labels at 1, 2 and 5 on short ones."""
+    """Make axes logarithmic: at least a decade in y, and labels at 1, 2 and 5 on short axes."""
     from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
     axes.set(xscale="log", yscale="log")

@@ -1,4 +1,4 @@
-"""The file of results: JSON with all figures, and what changed between two of them."""
+"""The file of results (JSON with all figures), and changes between two of them."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ SCHEMA = 1
 class Row:
     """A competitor in a case.
 
-    ``operations`` is the number of operations of its largest kernel, ``compile_seconds`` the time
-    of the first image of one sample per pixel beyond that of the second (``compile_cached``: the
-    largest kernel came from a cache, as a competitor before had the same), ``memory`` the most
-    bytes that Dr.Jit held beyond the scene.
+    ``operations`` is the number of operations of its largest kernel. ``compile_seconds`` is the
+    time of the first image of one sample per pixel minus that of the second; with
+    ``compile_cached`` the largest kernel came from the cache, because an earlier competitor had the
+    same. ``memory`` is the peak number of bytes that Dr.Jit allocated in addition to the scene.
     ``error`` says why there are no figures.
     """
 
@@ -59,7 +59,7 @@ class Row:
 
 @dataclass
 class CaseResult:
-    """All competitors in a case, and where its reference comes from."""
+    """All competitors in a case, and the origin of its reference."""
 
     name: str
     text: str
@@ -74,7 +74,7 @@ class CaseResult:
         return next((row for row in self.rows if row.name == name), None)
 
     def relative(self, row: Row) -> Estimate | None:
-        """Efficiency relative to that of the baseline; the interval holds the noise of both."""
+        """Efficiency relative to that of the baseline; the interval includes the noise of both."""
         base = self.row(self.baseline or "")
         if base is None or base.figures is None or row.figures is None:
             return None
@@ -93,12 +93,12 @@ class Results:
     schema: int = SCHEMA
 
     def to_json(self) -> str:
-        """As the text of a file."""
+        """The text of the file."""
         return json.dumps(asdict(self), indent=1)
 
     @staticmethod
     def from_json(text: str, where: str = "the file") -> Results:
-        """Back from the text. Raises ``ValueError`` for another schema, or anything else."""
+        """Results from the text of a file. Raises ``ValueError`` for any other text or schema."""
         try:
             data = json.loads(text)
             schema = data["schema"]
@@ -112,7 +112,7 @@ class Results:
 
     @staticmethod
     def read(path: Path) -> Results:
-        """From a file. Raises ``OSError`` and ``ValueError``."""
+        """Results from a file. Raises ``OSError`` or ``ValueError``."""
         return Results.from_json(path.read_text(encoding="utf-8"), str(path))
 
 
@@ -173,7 +173,7 @@ def _processor() -> str:
 
 
 def _commit() -> str:
-    """Of the source tree that this file belongs to; empty without one."""
+    """Commit of the source tree that this file belongs to; empty without one."""
     here = Path(__file__).resolve().parents[2]
     if not (here / ".git").exists():
         return ""
@@ -206,19 +206,20 @@ class Change:
 
 
 TOLERANCE = 0.05
-"""Times and efficiencies may differ so much between two runs of the same program."""
+"""Times and efficiencies of two runs of the same program may differ by this fraction."""
 
 SIGMAS = 4.0
-"""Of the ratio of two estimates: below, it is noise (1 % false alarms over 150 figures)."""
+"""A ratio of two estimates within so many standard errors is noise: with 150 figures, 1 % false
+alarms."""
 
 
 def changes(old: Results, new: Results) -> list[Change]:
     """What changed from ``old`` to ``new`` for every competitor that both have.
 
-    Times and efficiencies differ if their ratio is off 1 by more than four standard errors and by
-    more than 5 %, after that of Mitsuba's integrator in the same case has been taken out (or, where
-    none competes, that of all cases, with its spread): a faster machine changes nothing. Kernels
-    and memory differ by more than 2 %, biases by being found.
+    Times and efficiencies differ if their ratio deviates from 1 by more than four standard errors
+    and by more than 5 %, relative to that of Mitsuba's integrator in the same case (or, if none
+    competes, to that of all cases, with its spread): a faster machine changes nothing. Kernel sizes
+    and memory differ if they change by more than 2 %, biases if one appears or disappears.
     """
     found = []
     speed = machine_factor(old, new)
@@ -236,7 +237,8 @@ def changes(old: Results, new: Results) -> list[Change]:
 def machine_factor(old: Results, new: Results) -> Estimate:
     """How much longer Mitsuba's own integrators take in ``new``: the median over cases.
 
-    The interval is that of a single case, from the spread over cases; 1 if there is none.
+    The interval is that of a single case, from the spread over cases. The factor is 1 if Mitsuba's
+    integrators compete in no case.
     """
     logs = []
     for after in new.cases:
@@ -251,7 +253,7 @@ def machine_factor(old: Results, new: Results) -> Estimate:
 
 
 def _stock_baselines(before: CaseResult, after: CaseResult) -> tuple[Row, Row] | None:
-    """The rows of the baseline in both, if it is one of Mitsuba's integrators."""
+    """The baseline's rows in both results, if it is one of Mitsuba's integrators."""
     was, row = before.row(after.baseline or ""), after.row(after.baseline or "")
     if was is None or row is None or row.medium is None:
         return None
@@ -278,7 +280,7 @@ def _row_changes(
     stock = _stock_baselines(before, after)
     for what, power in (("seconds", -1), ("efficiency", 1)):
         if stock is not None and row.name == after.baseline:
-            continue  # all others are measured by it
+            continue  # all others are relative to it
         ratio = _ratio(_estimate(row, what), _estimate(was, what))
         if stock is not None:
             ratio = _ratio(ratio, _ratio(_estimate(stock[1], what), _estimate(stock[0], what)))
@@ -297,7 +299,7 @@ def _row_changes(
 
 
 def _estimate(row: Row, what: str) -> Estimate:
-    """With a normal interval for the median of the times, from their quartiles."""
+    """A figure with its interval; for times, that of the median, from their quartiles."""
     assert row.figures is not None
     if what == "efficiency":
         return row.figures.efficiency
@@ -307,7 +309,7 @@ def _estimate(row: Row, what: str) -> Estimate:
 
 
 def _ratio(a: Estimate, b: Estimate) -> Estimate:
-    """Of independent estimates, whose logarithms are taken as normal."""
+    """Ratio of independent estimates, whose logarithms are assumed normal."""
     if not all(0 < x < math.inf for e in (a, b) for x in (e.value, e.low, e.high)):
         return Estimate(math.nan, math.nan, math.nan)
     value = a.value / b.value

@@ -1,4 +1,4 @@
-"""Whole runs: the cases one after the other, and the files that they leave."""
+"""A whole run: the cases one after the other, and the files of the results."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def run(
     seed: int = 0,
     on_pass: Callable[[str], Any] = lambda text: None,
 ) -> Results:
-    """Measure the cases that can be: those without files or reference are listed as skipped.
+    """Measure all cases that have their files and a reference; the others are listed as skipped.
 
     ``folder`` holds the references. Raises ``ValueError`` if nothing can be measured.
     """
@@ -65,7 +65,7 @@ def run(
 def write(done: Results, folder: Path) -> list[Path]:
     """Write ``results.json``, ``results.md`` and, with matplotlib, the plots.
 
-    Every file is replaced only when its successor is complete. Returns what was written.
+    Every file is replaced only when its successor is complete. Returns the written paths.
     """
     folder.mkdir(parents=True, exist_ok=True)
     written = []

@@ -25,7 +25,7 @@ __all__ = ["AXES", "Axis", "Line", "Sample", "run", "sentences", "write"]
 class Axis:
     """One quantity to vary; ``build`` makes the scene from a filling and its value.
 
-    ``spp`` and ``max_depth`` are those of every value, but where they are what varies.
+    ``spp`` and ``max_depth`` are the same for all values, unless they are what varies.
     """
 
     name: str
@@ -49,7 +49,7 @@ class Line:
 
 @dataclass(frozen=True)
 class Sample:
-    """Median seconds per image, and bytes that Dr.Jit held beyond the scene."""
+    """Median seconds per image, and bytes that Dr.Jit allocated in addition to the scene."""
 
     axis: str
     line: str
@@ -80,7 +80,7 @@ def _thickness(filling: Filling, value: float) -> Any:
 
 
 def _media(filling: Filling, value: float) -> Any:
-    """64 balls that share so many media."""
+    """64 balls that share the given number of media."""
     media = {}
     for number in range(int(value)):
         medium = filling.medium(number, sigma_t=4.0 + number / 16, albedo=0.9)
@@ -122,7 +122,7 @@ AXES = (
 
 
 def lines(axis: Axis) -> list[Line]:
-    """Who is measured along an axis."""
+    """The integrators measured along an axis."""
     ours = [
         Line("nonexp" if law == "exponential" else f"nonexp, {law} laws", "nonexp_volpath", law)
         for law in axis.laws
@@ -141,7 +141,7 @@ def run(
     quick: bool = False,
     on_sample: Callable[[str], Any] = lambda text: None,
 ) -> list[Sample]:
-    """Measure all lines, each in a process of its own; at least two images per value, and more
+    """Measure all lines, each in its own process; at least two images per value, and more
     until ``seconds`` are over. ``quick`` takes the lower half of the values.
 
     Raises ``RuntimeError`` if one fails.

@@ -1,4 +1,4 @@
-"""The scenes of the benchmark, and the laws with which their media are filled."""
+"""The scenes of the benchmark, and the laws of their media."""
 
 from __future__ import annotations
 
@@ -49,15 +49,15 @@ LAWS: dict[str, tuple[tuple[str, dict[str, Any]], ...]] = {
         ("erlang", {"k": 8, "rate": 8.0}),
     ),
 }
-"""Name -> models with their parameters; several are taken in turn by the media of a scene."""
+"""Name -> models with their parameters; the media of a scene take several models in turn."""
 
 
 @dataclass(frozen=True)
 class Filling:
-    """What fills the media of a scene: ``law`` of :data:`LAWS`, or None for Mitsuba's own medium.
+    """What fills the media of a scene: a ``law`` of :data:`LAWS`; None is Mitsuba's own medium.
 
-    ``properties`` go to Mitsuba's medium. ``channel`` makes the medium grey, with the extinction
-    and the albedo of that channel.
+    ``properties`` are passed to Mitsuba's medium. ``channel`` makes the medium grey, with the
+    extinction and the albedo of that channel.
     """
 
     law: str | None
@@ -75,7 +75,7 @@ class Filling:
         return {"type": "nonexp_homogeneous", "transmittance": law, **values}
 
     def parameters(self) -> dict[str, str]:
-        """The same for the scene files of ``scenes/``, which include a file with the medium."""
+        """The same as parameters of the scenes in ``scenes/``, which include the medium's file."""
         if self.law is None:
             flags = {key: str(value).lower() for key, value in self.properties.items()}
             return {"medium": "../../benchmarks/media/stock", **flags}
@@ -92,11 +92,11 @@ class Filling:
 class Scene:
     """A scene to measure in.
 
-    ``build`` makes it from a filling and an image size (width, height). ``tags`` decide who
-    competes: ``media``; ``glass`` around all media, without a lamp inside; ``chromatic``
-    extinction; ``camera inside`` the medium. ``exact`` is the radiance of all pixels for a law,
-    where it is known. ``spp`` are the samples per pixel of a pass, ``weight`` the share of its
-    references in time, ``file`` is where it lies below ``scenes/``, if anywhere.
+    ``build`` makes it from a filling and an image size (width, height). ``tags`` decide which
+    integrators compete: ``media``; ``glass`` around all media, without a lamp inside;
+    ``chromatic`` extinction; ``camera inside`` the medium. ``exact`` is the radiance of all pixels
+    for a law, if known. ``spp`` is the number of samples per pixel of a pass, ``weight`` the share
+    of time for its references, ``file`` its path below ``scenes/``, if it has one.
     """
 
     name: str
@@ -127,7 +127,7 @@ class Case:
 
     @property
     def stock(self) -> bool:
-        """Mitsuba's own integrators render it as well."""
+        """Whether Mitsuba's own integrators can render it too."""
         return self.law == "exponential"
 
 
@@ -143,7 +143,7 @@ def cases(names: tuple[str, ...] = ()) -> list[Case]:
 
 
 def checkout() -> Path | None:
-    """The source tree, which holds scene files and references; None where there is none."""
+    """The source tree, which holds scene files and references; None if there is none."""
     here = Path(__file__).resolve().parents[2]
     return next((root for root in (here, Path.cwd()) if (root / "benchmarks/media").is_dir()), None)
 

@@ -1,4 +1,4 @@
-"""Processes of their own, which end with the block that started them."""
+"""Worker processes, which end with the ``with`` block that started them."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ __all__ = ["Worker", "WorkerError"]
 
 
 class WorkerError(RuntimeError):
-    """What went wrong in a process; the message is one sentence."""
+    """A failure in a worker process; the message is one sentence."""
 
 
 class Worker:
-    """A process that runs ``serve(pipe, *arguments)``, to talk to inside a ``with`` block.
+    """A process that runs ``serve(pipe, *arguments)`` during a ``with`` block.
 
-    What ``serve`` raises reaches :meth:`receive` as a :class:`WorkerError`, as does its end.
+    If ``serve`` raises an exception or ends, :meth:`receive` raises :class:`WorkerError`.
     """
 
     def __init__(self, serve: Callable[..., None], *arguments: Any) -> None:
@@ -41,12 +41,12 @@ class Worker:
         self._process.join()
 
     def send(self, message: Any) -> None:
-        """Hand over a message; that the process has ended is told by :meth:`receive`."""
+        """Send a message; if the process has ended, :meth:`receive` will raise the error."""
         with contextlib.suppress(OSError):
             self._pipe.send(message)
 
     def receive(self) -> Any:
-        """Wait for an answer."""
+        """Wait for the answer."""
         try:
             answer = self._pipe.recv()
         except (EOFError, OSError):
@@ -63,6 +63,6 @@ def _run(serve: Callable[..., None], pipe: Any, arguments: tuple[Any, ...]) -> N
         serve(pipe, *arguments)
     except EOFError:
         pass
-    except Exception as error:  # goes to whoever asked
+    except Exception as error:  # is raised by receive()
         with contextlib.suppress(OSError):
             pipe.send(WorkerError(explain(error)))

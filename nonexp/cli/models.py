@@ -24,7 +24,8 @@ def add(commands: Any) -> None:
 def _models(_options: argparse.Namespace) -> int:
     from rich.text import Text
 
-    from .. import models, parameters
+    from .. import models
+    from ..transmittance import parameters
 
     console = stdout()
     rows = table(console, "model", "transmittance", "parameters", "sigma_bar", lines=True)

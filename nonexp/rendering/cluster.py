@@ -80,8 +80,6 @@ _loaded: dict[str, Any] = {}
 
 def render_pass(archive: bytes, job: Job, number: int) -> Any:
     """Render pass ``number``; runs on a worker."""
-    import nonexp  # noqa: F401  (registers the plugins)
-
     with _lock:
         mi.set_variant(job.variant)
         if _THREADS in os.environ:
