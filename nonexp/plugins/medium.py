@@ -11,9 +11,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from nonexp.plugins.registration import supported
 from nonexp.plugins.spectra import grey, somewhere, visible
 from nonexp.system.insides import nested
+from nonexp.system.machine import supported
 from nonexp.transmittance import Transmittance
 
 _PARAMETERS = (

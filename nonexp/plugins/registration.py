@@ -16,8 +16,9 @@ import mitsuba as mi
 
 from .. import models
 from ..system import insides, machine
+from ..system.machine import supported, unsupported_reason
 
-__all__ = ["install", "register", "supported", "unsupported_reason"]
+__all__ = ["install", "register"]
 
 # Plugin name -> kind, module, class. The modules derive from classes of the variant.
 _PLUGINS = {
@@ -28,20 +29,6 @@ _TEXTURE = ("nonexp.plugins.texture", "TransmittanceTexture")
 
 # Variant -> what constructs the texture of a model from (key, Properties).
 _textures: dict[str, Callable[[str, Any], Any]] = {}
-
-
-def supported(variant: str) -> bool:
-    """Whether nonexp's plugins work in this Mitsuba variant."""
-    return unsupported_reason(variant) is None
-
-
-def unsupported_reason(variant: str) -> str | None:
-    """Why nonexp's plugins do not work in this variant; None if they do."""
-    if variant.startswith("scalar"):
-        return "there is no vectorised Python in scalar variants"
-    if variant.endswith("polarized"):
-        return "polarised light is not supported"
-    return None
 
 
 def install() -> None:

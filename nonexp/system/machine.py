@@ -26,6 +26,8 @@ __all__ = [
     "llvm_problem",
     "load_drjit",
     "select_llvm",
+    "supported",
+    "unsupported_reason",
 ]
 
 LLVM_VARIABLE = "DRJIT_LIBLLVM_PATH"
@@ -201,12 +203,26 @@ def _llvm() -> tuple[str | None, tuple[int, int, int] | None]:
     return path, (major, minor, patch)
 
 
+def supported(variant: str) -> bool:
+    """Whether nonexp's plugins work in this Mitsuba variant."""
+    return unsupported_reason(variant) is None
+
+
+def unsupported_reason(variant: str) -> str | None:
+    """Why nonexp's plugins do not work in this variant; None if they do."""
+    if variant.startswith("scalar"):
+        return "there is no vectorised Python in scalar variants"
+    if variant.endswith("polarized"):
+        return "polarised light is not supported"
+    return None
+
+
 def _supported() -> list[str]:
     """The variants of this Mitsuba that nonexp supports."""
     import mitsuba as mi
 
     names: list[str] = mi.variants()
-    return [v for v in names if _backend(v) in _NEEDS and not v.endswith("polarized")]
+    return [v for v in names if _backend(v) in _NEEDS and supported(v)]
 
 
 def _backend(variant: str) -> str:
