@@ -80,7 +80,9 @@ class SceneNeeds:
         if start is not None and start not in media:
             media.insert(0, start)
         together = coincident(scene.shapes(), Offset(scene).extent)
+        touching = [shape for group in together.groups for shape in group]
         emitter_flags = [emitter.flags() for emitter in scene.emitters()]
+        lobes = _lobes(scene, shapes, refractive) if emitter_flags else ()
         delta, infinite = mi.EmitterFlags.Delta, mi.EmitterFlags.Infinite
         return SceneNeeds(
             media=tuple(media),
@@ -100,7 +102,7 @@ class SceneNeeds:
                 for flags in emitter_flags
             ),
             null_ball=None if together.groups else _null_ball(shapes, media),
-            lobes=_lobes(scene, shapes, refractive) if emitter_flags else (),
+            lobes=tuple(lobe for lobe in lobes if lobe not in touching),
             coincident=together,
             silent=_silent(shapes),
         )

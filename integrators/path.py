@@ -322,6 +322,8 @@ class Events:
         behind = self.options.skip_area_emitters(self.nee.scene, onward, True, hidden)
         skipped = behind.compute_surface_interaction(onward, mi.RayFlags.All, hidden)
         skipped.t += si.t
+        if contact:
+            contact.several &= ~hidden
         return dr.select(hidden, skipped, si), contact
 
     # ------------------------------------------------------------- emission hit by the ray

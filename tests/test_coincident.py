@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from build import medium, perspective, scene
 
+from nonexp import models
 from nonexp.integrators import report
 from nonexp.integrators.coincident import coincident
 from nonexp.integrators.needs import SceneNeeds
@@ -65,6 +66,24 @@ BOXES = {
     "one": box([-0.5, 0, 0], interior=medium(sigma_t=0.5, albedo=0.0)),
     "two": box([0.5, 0, 0], interior=medium(sigma_t=1.0, albedo=0.0)),
 }
+
+
+@pytest.mark.parametrize("axis", ([1, 0, 0], [-1, 0, 0]), ids=("right", "left"))
+def test_boxes_of_any_law_and_colour(axis: list[float]) -> None:
+    """A flight starts anew at the shared face: transmittances from fixed point to fixed point."""
+    extinctions = {"one": [0.5, 0.3, 0.1], "two": [1.0, 0.2, 0.6]}
+    laws = {"one": ("linear", {"b": 2.0}), "two": ("gamma", {"alpha": 0.5})}
+    parts, exact = {}, np.ones(3)
+    for name, (law, parameters) in laws.items():
+        sigma_t = {"type": "rgb", "value": extinctions[name]}
+        interior = medium(law, parameters, sigma_t=sigma_t, albedo=0.0)
+        parts[name] = {**BOXES[name], "interior": interior}
+        exact *= models.create(law, **parameters).ff(np.array(extinctions[name]))
+    built = scene(camera=along(axis), sky={"type": "constant"}, **parts)
+    image = np.array(mi.render(built, spp=4096))[..., :3]
+    error = image.reshape(-1, 3).std(axis=0) / 8
+    assert np.all(error < 0.01 * exact)
+    assert np.all(np.abs(image.mean((0, 1)) - exact) < 4.5 * error)
 
 
 @pytest.mark.parametrize("reverse", (False, True))
