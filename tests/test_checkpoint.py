@@ -163,21 +163,32 @@ def test_an_identity_is_what_json_can_hold(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"identity is .*: it must be what JSON can hold"):
         nonexp.render(mi.load_dict(mi.cornell_box()), checkpoint=file, identity={"a": tmp_path})
     assert not file.exists()
-    assert checkpoint.differences({"a": {"b": 1}}, {"a": "c"}) == ["a was {'b': 1}, is c"]
+    assert sceneid.differences({"a": {"b": 1}}, {"a": "c"}) == ["a was {'b': 1}, is c"]
 
 
-def test_leftovers_of_killed_runs_are_removed(tmp_path: Path) -> None:
-    target = tmp_path / "a.exr"
-    dead = subprocess.Popen([sys.executable, "-c", ""])
-    dead.wait()
-    ours = f"{os.getpid()}.{files._RUN}"  # in a container the next run may have our number
-    left = [f".a.exr.{run}.part" for run in (f"{dead.pid}.0", f"{os.getpid()}.0")]
-    kept = [f".a.exr.{ours}.part", ".a.exr.x.0.part", ".b.exr.1.0.part", "a.exr"]
-    for name in (*left, *kept):
+def test_leftovers_of_killed_runs_are_removed_after_a_day(tmp_path: Path) -> None:
+    target = tmp_path / "[a].exr"
+    killed = "import os, sys, pathlib; from nonexp.system.files import replacing\n"
+    killed += "with replacing(pathlib.Path(sys.argv[1])) as (p,): p.write_text(''); os._exit(9)"
+    assert subprocess.run([sys.executable, "-c", killed, target]).returncode == 9
+    (left,) = tmp_path.iterdir()
+    kept = [".[a].exr.0123.part", ".b.exr.0123.part", "[a].exr", ".a.exr.0123.part"]
+    for name in kept:
         (tmp_path / name).write_text("")
-        os.utime(tmp_path / name, (1e9, 1e9))
+    for path in (left, *(tmp_path / name for name in kept[1:])):
+        os.utime(path, (1e9, 1e9))
+    yesterday = time.time() - 80_000  # it may be that of a run on another machine
+    os.utime(tmp_path / kept[0], (yesterday, yesterday))
     files.remove_leftovers(target)
     assert sorted(p.name for p in tmp_path.iterdir()) == sorted(kept)
+
+
+def test_two_writers_of_one_file_do_not_share_a_temporary_one(tmp_path: Path) -> None:
+    target = tmp_path / "a"
+    with files.replacing(target) as (first,), files.replacing(target) as (second,):
+        first.write_text("1")
+        second.write_text("2")
+    assert target.read_text() == "1" and [p.name for p in tmp_path.iterdir()] == ["a"]
 
 
 def test_a_disk_that_is_full_is_told_once_and_old_files_stay(tmp_path: Path) -> None:
@@ -205,7 +216,7 @@ def test_differences_are_named() -> None:
         "seed": 1,
         "versions": {"mitsuba": "3.9.1"},
     }
-    assert checkpoint.differences(before, now) == [
+    assert sceneid.differences(before, now) == [
         "parameter alpha was 0.5, is 0.7",
         "parameter b was not given, is 1",
         "file b.ply has changed",
@@ -213,7 +224,7 @@ def test_differences_are_named() -> None:
         "size was 480x360, is 48x36",
         "version mitsuba was 3.9.0, is 3.9.1",
     ]
-    assert checkpoint.differences(now, now) == []
+    assert sceneid.differences(now, now) == []
 
 
 # --------------------------------------------------------------------- resuming from Python
@@ -320,7 +331,7 @@ def test_the_identity_of_a_scene_is_that_of_its_twin() -> None:
     params = mi.traverse(target)
     params["ball.bsdf.reflectance.value"] = 0.25
     params.update()
-    differ = checkpoint.differences(first, sceneid.of_scene(target))
+    differ = sceneid.differences(first, sceneid.of_scene(target))
     assert "value ball.bsdf.reflectance.value has changed" in differ
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Accumulator", "Array", "Moments", "Noise"]
+__all__ = ["Array", "Moments", "Noise"]
 
 Array = npt.NDArray[np.float64]
 
@@ -45,32 +45,6 @@ class Moments:
             return np.full_like(self.mean, np.nan)
         stderr: Array = np.sqrt(self.squares / (self.passes - 1) / self.passes)
         return stderr
-
-
-class Accumulator:
-    """Takes images one by one; ``moments`` are those of all so far."""
-
-    def __init__(self) -> None:
-        self.moments = Moments()
-
-    def add(self, image: Array) -> None:
-        """Take one more independent image."""
-        self.moments = self.moments.plus(image)
-
-    @property
-    def passes(self) -> int:
-        """Number of images."""
-        return self.moments.passes
-
-    @property
-    def mean(self) -> Array:
-        """Mean of the images."""
-        return self.moments.mean
-
-    @property
-    def stderr(self) -> Array:
-        """Standard error of :attr:`mean`; NaN for fewer than 2 images."""
-        return self.moments.stderr
 
 
 @dataclass(frozen=True)
