@@ -58,8 +58,8 @@ class Noise:
 
     Each pixel counts by its relative error, so that a light in the picture does not hide the noise
     of the rest; dark pixels are held to a tenth of the median instead of to nothing; black
-    background does not dilute; no pixel counts for more than 1.8. An image that is all black has
-    error 0, a single pass NaN.
+    background does not dilute; no pixel counts for more than 1.8. NaN, unknown, after a single pass
+    and for an image that is black everywhere: nothing says how far it is from the true one.
     """
 
     error: float
@@ -80,7 +80,7 @@ class Noise:
         brightness = np.abs(mean.mean(axis=2))
         lit = brightness > 0
         if not lit.any():
-            return Noise(0.0, 0.0)
+            return Noise(math.nan, math.nan)
         brightness = brightness[lit]
         floor = _DARK * np.median(brightness)
         squares = np.square(stderr).mean(axis=2)[lit] / np.square(np.maximum(brightness, floor))

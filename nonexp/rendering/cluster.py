@@ -1,10 +1,9 @@
 """Rendering on many machines with Dask distributed (the extra ``cluster``).
 
 Passes are tasks. A worker gets the scene as an archive of its files, unpacks it once into a folder
-named by its checksum, and renders pass k with the seed of pass k, whichever worker it is; the
-images are taken in the order of the passes. So the result is that of one machine, bit for bit, if
-all have the same type of processor. Dask gives a task to another worker when one is lost; a pass
-counts once, by its number.
+named by its checksum, and renders pass k with the seed of pass k. The images are summed in the
+order of the passes, so the result is that of one machine, bit for bit, if all have the same type
+of processor. When a worker is lost, Dask gives its tasks to another; a pass counts once.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ import threading
 import warnings
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -33,13 +32,13 @@ import mitsuba as mi
 import numpy as np
 
 from ..images.moments import Array
-from ..scene import identity as sceneid
-from ..scene import load as scenefile
-from ..scene.files import SceneFiles
+from ..scene.identity import versions
+from ..scene.load import load
 from ..system.signals import sigint_ignored
+from .job import RenderJob
 from .passes import Plan, render_passes
 
-__all__ = ["Cluster", "Job", "connect", "require"]
+__all__ = ["Cluster", "connect", "require"]
 
 _TIMEOUT = 10  # seconds until a scheduler must have answered
 _ENDLESS = 2**62
@@ -60,58 +59,42 @@ def require() -> None:
 # --------------------------------------------------------------------- on a worker
 
 
-@dataclass(frozen=True)
-class Job:
-    """What a worker has to know besides the scene's files."""
-
-    root: str
-    """scene file in the archive"""
-    parameters: Mapping[str, str]
-    size: tuple[int, int] | None
-    variant: str
-    plan: Plan
-    seed: int
-    versions: Mapping[str, str]
-
-
 _lock = threading.Lock()  # Dr.Jit uses all cores for one pass
 _loaded: dict[str, Any] = {}
 
 
-def render_pass(archive: bytes, job: Job, number: int) -> Any:
-    """Render pass ``number``; runs on a worker."""
+def render_pass(archive: bytes, root: str, job: RenderJob, number: int) -> Any:
+    """Render pass ``number`` of the scene file ``root`` in an archive; runs on a worker."""
     import nonexp  # noqa: F401  (registers the plugins)
 
     with _lock:
         mi.set_variant(job.variant)
         if _THREADS in os.environ:
             dr.set_thread_count(int(os.environ[_THREADS]))
-        mine = sceneid.versions()
-        differ = [name for name, value in job.versions.items() if mine.get(name) != value]
+        mine, wanted = versions(), job.identity["versions"]
+        differ = [name for name, value in wanted.items() if mine.get(name) != value]
         if differ:
-            here, there = (
-                ", ".join(f"{k} {v.get(k)}" for k in differ) for v in (mine, job.versions)
-            )
+            here, there = (", ".join(f"{k} {v.get(k)}" for k in differ) for v in (mine, wanted))
             raise ValueError(
                 f"a worker on {platform.node()} has {here} instead of {there}: "
                 "all machines must have the same versions"
             )
-        scene = _scene(archive, job)
         todo = Plan(number + 1, job.plan.pass_spp)
-        (image,) = render_passes(scene, todo, job.seed, start=number)
+        scene = _scene(archive, root, job)
+        (image,) = render_passes(scene, todo, job.seed, sensor=job.sensor, start=number)
         single = "double" not in job.variant
         return image.astype(np.float32) if single else image  # half the traffic, same bits
 
 
-def _scene(archive: bytes, job: Job) -> Any:
+def _scene(archive: bytes, root: str, job: RenderJob) -> Any:
     """The scene, from memory where this process has it already."""
     name = hashlib.blake2b(archive, digest_size=16).hexdigest()
-    key = f"{name} {job.root} {sorted(job.parameters.items())} {job.size} {job.variant}"
+    key = f"{name} {root} {sorted(job.parameters.items())} {job.size} {job.variant}"
     if key not in _loaded:
         folder = _unpack(archive, name)
         mi.set_log_level(mi.LogLevel.Error)
         _loaded.clear()  # one scene at a time is enough
-        _loaded[key] = scenefile.load(folder / job.root, job.parameters, job.size).scene
+        _loaded[key] = load(folder / root, job.parameters, job.size).scene
     return _loaded[key]
 
 
@@ -147,8 +130,8 @@ class Cluster:
         """Number of workers at present."""
         return len(self._client.scheduler_info(n_workers=-1)["workers"])
 
-    def passes(self, files: SceneFiles, job: Job, start: int = 0) -> Iterator[Array]:
-        """Render the passes of a job, from number ``start`` on; yields them in order.
+    def passes(self, job: RenderJob, start: int = 0) -> Iterator[Array]:
+        """Render the passes of a job from a file, from number ``start`` on; yields them in order.
 
         Not more than twice as many passes as there are workers, and two, are under way, so that
         memory stays flat. Raises ``RuntimeError`` where a pass fails or ends the workers that
@@ -157,8 +140,12 @@ class Cluster:
         from distributed import CancelledError
         from distributed.comm.core import CommClosedError
 
-        plan = job.plan
-        numbers = range(start, _ENDLESS if plan.passes is None else plan.passes)
+        files, job = job.files, replace(job, files=None)
+        if files is None:
+            raise ValueError("a scene in memory has no files to send to a cluster")
+        files.check_movable()
+        root = files.root.relative_to(files.folder).as_posix()
+        numbers = range(start, _ENDLESS if job.plan.passes is None else job.plan.passes)
         run = os.urandom(8).hex()
         under_way: dict[int, Any] = {}
         with warnings.catch_warnings():
@@ -169,7 +156,13 @@ class Cluster:
             for number in numbers:
                 for ahead in itertools.islice(todo, self._room(under_way)):
                     under_way[ahead] = self._client.submit(
-                        render_pass, archive, job, ahead, key=f"nonexp-{run}-{ahead}", pure=False
+                        render_pass,
+                        archive,
+                        root,
+                        job,
+                        ahead,
+                        key=f"nonexp-{run}-{ahead}",
+                        pure=False,
                     )
                 yield np.asarray(self._result(under_way.pop(number)), dtype=np.float64)
         except (CancelledError, CommClosedError):  # the client cancels what it cannot ask about

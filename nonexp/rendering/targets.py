@@ -3,15 +3,24 @@
 from __future__ import annotations
 
 import math
+import re
 from collections import deque
 from dataclasses import dataclass
+from numbers import Real
 from time import perf_counter
 
 from ..images.moments import Array, Moments, Noise
 
-__all__ = ["Progress", "Run", "Targets", "is_checked"]
+__all__ = ["BLACK", "Progress", "Run", "Targets", "fraction", "is_checked", "seconds"]
+
+BLACK = (
+    "the image is black everywhere: no light reaches the camera "
+    "(fog without bounds is black, by theory, under a directional light or an environment)"
+)
 
 _UNKNOWN = Noise(math.nan, math.nan)
+_PATIENCE = 64
+"""Passes after which a run to an error alone ends, if its image still has none, being black."""
 
 
 @dataclass(frozen=True)
@@ -26,14 +35,26 @@ class Targets:
     """relative standard error of the image, held with 95 % confidence: :class:`Noise`"""
 
     def reached(self, done: int, seconds: float, pass_seconds: float, noise: Noise) -> str | None:
-        """What is reached: spp, error, time, or None."""
+        """What is reached: spp, error, time, or None.
+
+        Raises ``ValueError`` where only an error is asked for and the image stays black.
+        """
         if self.passes is not None and done >= self.passes:
             return "spp"
         if self.error is not None and noise.bound <= self.error:
             return "error"
         if self.time is not None and done and seconds + pass_seconds > self.time:
             return "time"
+        if self.passes is None and self.time is None and done >= _PATIENCE:
+            self._check_error_exists(done, noise)
         return None
+
+    def _check_error_exists(self, done: int, noise: Noise) -> None:
+        if math.isnan(noise.error):
+            raise ValueError(
+                f"error is {self.error}, which an image without any light never reaches: after "
+                f"{done} passes {BLACK}; add spp or time as a second target to go on"
+            )
 
     def seconds_left(self, done: int, seconds: float, pass_seconds: float, noise: Noise) -> float:
         """Estimated time until the first is reached; infinite where nobody can say."""
@@ -132,3 +153,30 @@ class Run:
 
     def _pass_seconds(self) -> float:
         return sum(self._recent) / max(len(self._recent), 1)
+
+
+# --------------------------------------------------------------------- targets as people write them
+
+
+def seconds(time: float | str) -> float:
+    """A time in seconds, from a number or from text such as 90, 90s, 10m, 2h30m or 1.5d."""
+    number = r"\d+(?:\.\d+)?"
+    value = float(time) if isinstance(time, Real) else 0.0
+    if isinstance(time, str) and re.fullmatch(rf"(?:{number}[dhms])*(?:{number})?", time):
+        parts = re.findall(rf"({number})([dhms]|$)", time)
+        value = sum(float(n) * {"d": 86400, "h": 3600, "m": 60}.get(unit, 1) for n, unit in parts)
+    if not 0 < value < math.inf:
+        raise ValueError(
+            f"time is {time!r}: it must be a time > 0, as in 90 (seconds), 10m or 2h30m"
+        )
+    return float(value)
+
+
+def fraction(error: float | str) -> float:
+    """A relative error, from a number such as 0.01 or from text such as 1% or 0.01."""
+    value = float(error) if isinstance(error, Real) else 0.0
+    if isinstance(error, str) and (match := re.fullmatch(r"(\d*\.?\d+)\s*(%?)", error)):
+        value = float(match[1]) / (100 if match[2] else 1)
+    if not 0 < value < 1:
+        raise ValueError(f"error is {error!r}: it must lie between 0 and 1, as in 0.01 or 1%")
+    return value
