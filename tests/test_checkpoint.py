@@ -21,6 +21,7 @@ import nonexp
 from nonexp.images.moments import Moments
 from nonexp.rendering import checkpoint
 from nonexp.rendering.checkpoint import Checkpoint
+from nonexp.rendering.job import RenderJob
 from nonexp.scene import identity as sceneid
 from nonexp.system import files
 
@@ -101,7 +102,7 @@ def test_every_flipped_bit_and_every_truncation_is_noticed(tmp_path: Path) -> No
             checkpoint.read(path)
     for length in (*range(0, len(whole), 7), len(whole) - 1):
         path.write_bytes(whole[:length])
-        loaded = checkpoint.load(path)
+        loaded = checkpoint.newest(path)
         assert loaded is not None
         found, wrong = loaded
         assert_equal(found.moments, state(1).moments)
@@ -110,11 +111,11 @@ def test_every_flipped_bit_and_every_truncation_is_noticed(tmp_path: Path) -> No
 
 def test_without_a_whole_one_it_is_said(tmp_path: Path) -> None:
     path = tmp_path / "a.checkpoint"
-    assert checkpoint.load(path) is None
+    assert checkpoint.newest(path) is None
     path.write_bytes(b"nonsense")
     checkpoint.older(path).write_bytes(b"")
     with pytest.raises(ValueError, match=r"is damaged: .*, and there is no older one: delete it"):
-        checkpoint.load(path)
+        checkpoint.newest(path)
 
 
 @pytest.mark.parametrize("call", ["write", "fsync", "replace"])
@@ -151,7 +152,7 @@ def test_wherever_writing_breaks_off_one_checkpoint_is_whole(
     except PowerCut:
         pass
     monkeypatch.undo()
-    loaded = checkpoint.load(path)
+    loaded = checkpoint.newest(path)
     assert loaded is not None
     assert_equal(loaded[0].moments, state(loaded[0].moments.passes).moments)
     assert loaded[0].moments.passes >= 2
@@ -193,7 +194,10 @@ def test_two_writers_of_one_file_do_not_share_a_temporary_one(tmp_path: Path) ->
 
 def test_a_disk_that_is_full_is_told_once_and_old_files_stay(tmp_path: Path) -> None:
     path, told = tmp_path / "gone" / "a.checkpoint", []
-    keeper = checkpoint.Keeper(path, {}, 0.0, keep_present=False, warn=told.append)
+    path.parent.mkdir()
+    job = RenderJob.of_scene(scene(), checkpoint=path, interval=0)
+    path.parent.rmdir()
+    keeper = checkpoint.Keeper(job, keep_present=False, warn=told.append)
     for passes in (1, 2, 3):
         keeper.offer(state(passes).moments, 1.0)
         time.sleep(0.01)
@@ -255,7 +259,7 @@ def test_a_broken_run_goes_on_to_the_same_bits(tmp_path: Path, interval: float) 
     whole = nonexp.render(scene(), spp=40, seed=3)
     for after in (1, 4, 5):
         broken_off(scene(), path, after, spp=40, seed=3, interval=interval)
-        saved = checkpoint.load(path)
+        saved = checkpoint.newest(path)
         assert saved is not None and saved[0].moments.passes == after
     seen: list[nonexp.Progress] = []
     image = nonexp.render(scene(), spp=40, seed=3, checkpoint=path, on_progress=seen.append)
@@ -318,7 +322,7 @@ def test_another_version_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     path = tmp_path / "c"
     broken_off(scene(), path, 2, spp=16)
     versions = sceneid.versions()
-    monkeypatch.setattr(sceneid, "versions", lambda: {**versions, "drjit": "9.9"})
+    monkeypatch.setattr("nonexp.rendering.job.versions", lambda: {**versions, "drjit": "9.9"})
     with pytest.raises(ValueError, match=r"version drjit was [\d.]+, is 9\.9"):
         nonexp.render(scene(), spp=16, checkpoint=path)
 
@@ -406,7 +410,7 @@ def test_a_run_killed_again_and_again_gives_the_same_bits(tmp_path: Path, effort
     path = tmp_path / "broken.exr.checkpoint"
 
     def passes() -> int:
-        found = checkpoint.load(path)  # raises if neither file is whole
+        found = checkpoint.newest(path)  # raises if neither file is whole
         return found[0].moments.passes if found else 0
 
     reached = [0]

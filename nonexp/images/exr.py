@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import OpenEXR
 
-from ..system.files import check_writable, replacing
+from ..system.files import replacing
 from .image import Image
 from .moments import Array
 from .png import tone_map, write_png
 
-__all__ = ["Picture", "check", "read", "write", "write_exr"]
+__all__ = ["Picture", "exr_path", "read", "write", "write_exr"]
 
 Metadata = Mapping[str, str | int | float]
 
@@ -34,17 +34,14 @@ class Picture:
     """how it was made: the header's ``nonexp:<key>``, by key"""
 
 
-def check(output: Path, *beside: Path) -> Path:
-    """The EXR file of an output that is named as an EXR or as the PNG beside it.
+def exr_path(output: Path) -> Path:
+    """The EXR file of an output, which may be named as the PNG beside it.
 
-    Raises ``ValueError`` or ``OSError`` unless both, and other files ``beside`` them, can be
-    written. Leaves no trace, and existing files alone.
+    Raises ``ValueError`` for another suffix.
     """
     if output.suffix.lower() not in (".exr", ".png"):
         raise ValueError(f"output is {str(output)!r}: it must be a file name in .exr or .png")
-    path = output if output.suffix.lower() == ".exr" else output.with_suffix(".exr")
-    check_writable(path, path.with_suffix(".png"), *beside)
-    return path
+    return output if output.suffix.lower() == ".exr" else output.with_suffix(".exr")
 
 
 def write(path: Path, image: Image, metadata: Metadata, denoised: Array | None = None) -> None:

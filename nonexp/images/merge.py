@@ -29,7 +29,8 @@ def merge(pictures: Sequence[Picture]) -> tuple[Image, dict[str, Any]]:
     that share a seed, and says what differs.
     """
     if len(pictures) < 2:
-        raise ValueError("there is one image: merging takes two or more")
+        there = "there is one image" if pictures else "there are no images"
+        raise ValueError(f"{there}: merging takes two or more")
     first = pictures[0]
     held: dict[int, Picture] = {}
     for picture in pictures:

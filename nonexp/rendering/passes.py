@@ -130,7 +130,7 @@ def sensor_number(scene: mi.Scene, sensor: int | str | mi.Sensor) -> int:
     ids = [one.id() for one in sensors]
     if isinstance(sensor, mi.Sensor):
         found = [number for number, one in enumerate(sensors) if one is sensor]
-    elif isinstance(sensor, str) and sensor in ids:
+    elif sensor and sensor in ids:
         found = [ids.index(sensor)]
     else:
         try:
@@ -139,9 +139,11 @@ def sensor_number(scene: mi.Scene, sensor: int | str | mi.Sensor) -> int:
             number = -1
         found = [number] if 0 <= number < len(sensors) else []
     if not found:
-        named = ", ".join(f"{number} ({name})" for number, name in enumerate(ids)) or "none"
+        named = ", ".join(f"{n} ({name})" if name else f"{n}" for n, name in enumerate(ids))
         said = sensor.id() if isinstance(sensor, mi.Sensor) else sensor
-        raise ValueError(f"sensor is {said!r}: it must be one of the scene's, which are {named}")
+        raise ValueError(
+            f"sensor is {said!r}: it must be one of the scene's: {named or 'it has none'}"
+        )
     return found[0]
 
 

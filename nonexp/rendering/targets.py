@@ -20,7 +20,7 @@ BLACK = (
 
 _UNKNOWN = Noise(math.nan, math.nan)
 _PATIENCE = 64
-"""Passes after which a run to an error alone ends, if its image still has none, being black."""
+"""Passes after which a run to an error alone ends if its image is black, and so has none."""
 
 
 @dataclass(frozen=True)
@@ -35,26 +35,14 @@ class Targets:
     """relative standard error of the image, held with 95 % confidence: :class:`Noise`"""
 
     def reached(self, done: int, seconds: float, pass_seconds: float, noise: Noise) -> str | None:
-        """What is reached: spp, error, time, or None.
-
-        Raises ``ValueError`` where only an error is asked for and the image stays black.
-        """
+        """What is reached: spp, error, time, or None."""
         if self.passes is not None and done >= self.passes:
             return "spp"
         if self.error is not None and noise.bound <= self.error:
             return "error"
         if self.time is not None and done and seconds + pass_seconds > self.time:
             return "time"
-        if self.passes is None and self.time is None and done >= _PATIENCE:
-            self._check_error_exists(done, noise)
         return None
-
-    def _check_error_exists(self, done: int, noise: Noise) -> None:
-        if math.isnan(noise.error):
-            raise ValueError(
-                f"error is {self.error}, which an image without any light never reaches: after "
-                f"{done} passes {BLACK}; add spp or time as a second target to go on"
-            )
 
     def seconds_left(self, done: int, seconds: float, pass_seconds: float, noise: Noise) -> float:
         """Estimated time until the first is reached; infinite where nobody can say."""
@@ -143,7 +131,15 @@ class Run:
 
     def _reached(self) -> str | None:
         noise = self._look() if self._targets.error is not None else _UNKNOWN
-        return self._targets.reached(self.moments.passes, self.seconds, self._pass_seconds(), noise)
+        done, targets = self.moments.passes, self._targets
+        only_error = targets.passes is None and targets.time is None
+        if only_error and done >= _PATIENCE and math.isnan(noise.error):
+            black = BLACK if not self.moments.mean.any() else "no pixel is a finite number"
+            raise ValueError(
+                f"error is {targets.error}, which an image without any light never reaches: "
+                f"after {done} passes {black}; add spp or time as a second target to go on"
+            )
+        return targets.reached(done, self.seconds, self._pass_seconds(), noise)
 
     def _look(self) -> Noise:
         """Noise at the latest look; found only when somebody asks, for it takes a while."""
