@@ -18,6 +18,7 @@ import pytest
 import nonexp
 from nonexp import rendering
 from nonexp.images import tone_map
+from nonexp.rendering import passes
 
 
 def scene(
@@ -62,10 +63,10 @@ def test_a_plan_rounds_up_by_less_than_a_pass_and_repeats_to_the_bit(spp: int, p
     plan = rendering.plan(spp, pixels)
     assert plan.passes is not None and plan.spp is not None
     assert 0 <= plan.spp - spp < plan.pass_spp
-    assert plan.passes >= min(spp, rendering.MIN_PASSES)
+    assert plan.passes >= min(spp, passes.MIN_PASSES)
     assert plan.pass_spp & (plan.pass_spp - 1) == 0
     samples = pixels * plan.pass_spp
-    assert samples <= rendering.MAX_PASS_SAMPLES or plan.pass_spp == 1
+    assert samples <= passes.MAX_PASS_SAMPLES or plan.pass_spp == 1
     # No two of 64 threads share a pixel: blocks of 2^14 samples, or two packets of 8 per pixel.
     assert (samples >= 2**15 * 64 and plan.pass_spp <= 2**14) or plan.pass_spp <= 2 * 8
 
@@ -79,7 +80,7 @@ def test_the_pass_size_without_spp_is_that_of_large_spp_and_repeats_to_the_bit(
     plan = rendering.plan(None, pixels)
     assert plan.passes is None and plan.spp is None
     assert plan.pass_spp <= 2 * 8
-    if pixels > rendering.MAX_PASS_SAMPLES / 32:
+    if pixels > passes.MAX_PASS_SAMPLES / 32:
         assert plan.pass_spp == rendering.plan(1024, pixels).pass_spp
         assert plan.pass_spp == rendering.plan(4096, pixels).pass_spp
 
@@ -194,6 +195,7 @@ def test_a_sampler_that_rounds_is_counted_as_it_samples() -> None:
                 "sampler": {"type": "stratified", "sample_count": 16},
                 "film": {"type": "hdrfilm", "width": 2, "height": 2},
             },
+            "light": {"type": "constant"},
         }
     )
     image = nonexp.render(target, spp=64)
