@@ -465,7 +465,8 @@ def test_a_target_that_is_reached_already_ends_the_render(tmp_path: Path) -> Non
     file = tmp_path / "checkpoint"
     film = {"type": "hdrfilm", "width": 4, "height": 4, "rfilter": {"type": "box"}}
     sensor = {"type": "perspective", "film": film}
-    target = mi.load_dict({"type": "scene", "i": {"type": "direct"}, "sensor": sensor})
+    parts = {"integrator": {"type": "direct"}, "light": {"type": "constant"}, "sensor": sensor}
+    target = mi.load_dict({"type": "scene", **parts})
 
     def stop(progress: nonexp.Progress) -> None:
         if progress.done == 3:

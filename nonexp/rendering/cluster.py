@@ -128,7 +128,8 @@ class Cluster:
 
     def workers(self) -> int:
         """Number of workers at present."""
-        return len(self._client.scheduler_info(n_workers=-1)["workers"])
+        found = self._client.scheduler_info(n_workers=-1)  # empty when the scheduler has gone
+        return len(found.get("workers", ()))
 
     def passes(self, job: RenderJob, start: int = 0) -> Iterator[Array]:
         """Render the passes of a job from a file, from number ``start`` on; yields them in order.

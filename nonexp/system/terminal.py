@@ -28,8 +28,8 @@ def stdout() -> Console:
 def table(*columns: str, numbers: bool = False, lines: bool = False) -> Table:
     """An empty table: framed in a terminal, without a frame and 100 columns wide elsewhere.
 
-    Text wraps within the cells. ``numbers`` aligns all columns but the first to the right and
-    keeps them whole; ``lines`` rules the rows.
+    Text wraps within the cells but those of the first column, at which rows are told apart.
+    ``numbers`` aligns the other columns to the right and does not wrap them; ``lines`` rules rows.
     """
     from rich import box
     from rich.table import Table
@@ -39,8 +39,8 @@ def table(*columns: str, numbers: bool = False, lines: bool = False) -> Table:
         box=box.ROUNDED if terminal else None, show_lines=lines and terminal, pad_edge=terminal
     )
     for i, column in enumerate(columns):
-        number = numbers and i > 0
-        empty.add_column(column, no_wrap=number, justify="right" if number else "left")
+        justify: Any = "right" if numbers and i else "left"
+        empty.add_column(column, no_wrap=numbers or not i, justify=justify)
     return empty
 
 
