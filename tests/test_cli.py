@@ -250,7 +250,7 @@ def test_a_black_image_is_told_and_has_no_error(run: Run, folder: Path) -> None:
     code, out, err = run(*job)
     assert (code, out) == (2, "")
     why = f"after 64 passes {BLACK}; add spp or time as a second target to go on"
-    said = f"error is 0.01, which an image without any light never reaches: {why}"
+    said = f"error is 0.01, which cannot be reached: {why}"
     assert err == f"nonexp: error: {said}\n"
 
 

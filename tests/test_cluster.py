@@ -14,6 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import mitsuba as mi
 import numpy as np
 import pytest
 
@@ -91,6 +92,24 @@ def test_the_passes_are_those_of_one_machine_in_order(workers: cluster.Cluster, 
     np.testing.assert_array_equal(list(workers.passes(job(path, 9), start=6)), here[6:])
     other = next(workers.passes(job(path, 1, b="2")))
     assert not np.array_equal(other, here[0])
+
+
+def test_a_worker_renders_the_sensor_asked_for(workers: cluster.Cluster, path: Path) -> None:
+    second = SCENE[SCENE.index("    <sensor") : SCENE.index("    <emitter")]
+    second = second.replace("<sensor", '<sensor id="side"').replace("0, 0, 4", "0, 3, 2")
+    path.write_text(SCENE.replace("    <emitter", second + "    <emitter"))
+    loaded = load(path, {})
+    asked = RenderJob.of_file(loaded, path, {}, spp=4, pass_spp=4, sensor="side")
+    here = list(rendering.render_passes(loaded.scene, Plan(1, 4), sensor="side"))
+    np.testing.assert_array_equal(list(workers.passes(asked)), here)
+    other = list(rendering.render_passes(loaded.scene, Plan(1, 4)))
+    assert not np.array_equal(here, other)
+
+
+def test_a_scene_in_memory_has_nothing_to_send(workers: cluster.Cluster) -> None:
+    scene = mi.load_dict(mi.cornell_box())
+    with pytest.raises(ValueError, match="a scene in memory has no files to send to a cluster"):
+        nonexp.render(scene, spp=4, source=workers.passes)
 
 
 def test_an_open_end_is_cut_when_enough_is_there(workers: cluster.Cluster, path: Path) -> None:

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from numbers import Real
 from time import perf_counter
 
+import numpy as np
+
 from ..images.moments import Array, Moments, Noise
 
 __all__ = ["BLACK", "Progress", "Run", "Targets", "fraction", "is_checked", "seconds"]
@@ -133,11 +135,12 @@ class Run:
         noise = self._look() if self._targets.error is not None else _UNKNOWN
         done, targets = self.moments.passes, self._targets
         only_error = targets.passes is None and targets.time is None
-        if only_error and done >= _PATIENCE and math.isnan(noise.error):
-            black = BLACK if not self.moments.mean.any() else "no pixel is a finite number"
+        if only_error and done >= _PATIENCE and not np.nan_to_num(self.moments.mean).any():
+            black = not self.moments.mean.any()
             raise ValueError(
-                f"error is {targets.error}, which an image without any light never reaches: "
-                f"after {done} passes {black}; add spp or time as a second target to go on"
+                f"error is {targets.error}, which cannot be reached: after {done} passes "
+                f"{BLACK if black else 'no pixel is a finite number'}; "
+                "add spp or time as a second target to go on"
             )
         return targets.reached(done, self.seconds, self._pass_seconds(), noise)
 
