@@ -153,7 +153,7 @@ def _rebuild(chosen: list[Case], folder: Path, seconds: float) -> int:
         command = shlex.join([*words, "--time", f"{seconds:g}s"])
         with _progress() as show:
             made = references.rebuild(
-                case, folder, share, command=command, on_pass=partial(_tell, show, case.name)
+                case, folder, share, command=command, on_pass=partial(_show_share, show, case.name)
             )
         size = references.path(case, folder).stat().st_size
         print(
@@ -163,7 +163,7 @@ def _rebuild(chosen: list[Case], folder: Path, seconds: float) -> int:
     return 0
 
 
-def _tell(show: Callable[[str], None], name: str, done: float) -> None:
+def _show_share(show: Callable[[str], None], name: str, done: float) -> None:
     show(f"{name}: {done:.0%}")
 
 
@@ -194,7 +194,7 @@ def _show_changes(old: Results, new: Results) -> int:
 
 
 def _check_out(folder: Path) -> None:
-    """Before an hour of work: the folder can be made and written to."""
+    """Make the folder, and raise ``OSError`` if it cannot be written to."""
     if folder.exists() and not folder.is_dir():
         raise OSError(f"--out is {str(folder)!r}: it must be a folder")
     folder.mkdir(parents=True, exist_ok=True)
@@ -208,7 +208,7 @@ def _warn_if_busy() -> None:
 
 @contextmanager
 def _progress() -> Iterator[Callable[[str], None]]:
-    """Shows what is being done, on a terminal."""
+    """Show the work in progress, on a terminal."""
     from rich.console import Console
 
     console = Console(stderr=True)

@@ -152,10 +152,10 @@ def render(
             with _saved_at_least(state, before):
                 write(path, image, metadata, clean)
         except (Stopped, KeyboardInterrupt) as error:
-            return _say_how_to_resume(error, state, before)
+            return _report_interruption(error, state, before)
     if state is not None and checkpoint is not None:
         older(state).unlink(missing_ok=True)
-        if image.seconds < checkpoint:  # quicker made again than kept
+        if image.seconds < checkpoint:  # quicker rendered again than resumed
             state.unlink(missing_ok=True)
     print(
         f"{path}: {image.spp} samples per pixel in {image.passes} "
@@ -210,14 +210,16 @@ def _check_checkpoint(state: Path, resume: bool, restart: bool) -> None:
 
 
 def _version(state: Path | None) -> tuple[int, ...] | None:
-    """What tells one checkpoint from the next of the same name; clocks may be set back."""
+    """Distinguishes a checkpoint from the next of the same name, even if clocks are set back."""
     if state is None or not state.exists():
         return None
     status = state.stat()
     return status.st_ino, status.st_mtime_ns, status.st_size
 
 
-def _say_how_to_resume(error: Stopped | KeyboardInterrupt, state: Path | None, before: Any) -> int:
+def _report_interruption(
+    error: Stopped | KeyboardInterrupt, state: Path | None, before: Any
+) -> int:
     stopped = error if isinstance(error, Stopped) else Stopped(signal.SIGINT)
     if _version(state) not in (None, before):
         note(

@@ -62,7 +62,7 @@ def write(path: Path, image: Image, metadata: Metadata, denoised: Array | None =
             write_exr(exr, layers, metadata)
             for png, picture in zip(pngs, pictures.values(), strict=True):
                 write_png(png, tone_map(picture))
-    except (OSError, RuntimeError) as error:  # which name the files written aside
+    except (OSError, RuntimeError) as error:  # whose text names the temporary files
         why = re.sub(r"^.*?\.part\W*", "", str(error), flags=re.DOTALL)
         raise OSError(f"{str(path)!r} cannot be written: {why.strip(' .') or error}") from error
 

@@ -18,7 +18,7 @@ __all__ = ["merge", "seeds"]
 
 
 def merge(pictures: Sequence[Picture]) -> tuple[Image, dict[str, Any]]:
-    """The image that renders with different seeds are parts of, and its metadata.
+    """One image of renders with different seeds, and its metadata.
 
     The mean is weighted by samples. With W samples per pixel, N passes, mean m and standard error
     e of each part, S = W (N - 1) e^2 is the sum of the weighted squared deviations of its passes;

@@ -20,7 +20,7 @@ _DARK = 0.1
 class Moments:
     """Mean of ``passes`` independent images, and their squared deviations from it.
 
-    A value: :meth:`plus` makes a new one, so that what is being written to disk never changes.
+    Immutable: :meth:`plus` makes a new one, so that a checkpoint being written never changes.
     Welford's method, in double precision: stable over any number of passes. These three fields are
     all the state of a render.
     """

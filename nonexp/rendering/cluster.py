@@ -83,7 +83,7 @@ def render_pass(archive: bytes, root: str, job: RenderJob, number: int) -> Any:
         scene = _scene(archive, root, job)
         (image,) = render_passes(scene, todo, job.seed, sensor=job.sensor, start=number)
         single = "double" not in job.variant
-        return image.astype(np.float32) if single else image  # half the traffic, same bits
+        return image.astype(np.float32) if single else image  # half the traffic, the same bits
 
 
 def _scene(archive: bytes, root: str, job: RenderJob) -> Any:
@@ -121,9 +121,9 @@ def _unpack(archive: bytes, name: str) -> Path:
 class Cluster:
     """A connection to a scheduler; ``dashboard`` is the address of Dask's page about it."""
 
-    def __init__(self, client: Any, tell: Callable[[str], Any] = lambda text: None) -> None:
+    def __init__(self, client: Any, note: Callable[[str], Any] = lambda text: None) -> None:
         self._client = client
-        self._tell = tell
+        self._note = note
         self.dashboard = str(client.dashboard_link or "")
 
     def workers(self) -> int:
@@ -176,19 +176,19 @@ class Cluster:
         return max(0, 2 * self.workers() + 2 - len(under_way))
 
     def _result(self, future: Any) -> Any:
-        """What a task gives, however long it takes; tells where there are no workers."""
+        """The result of a task, however long it takes; notes once if there are no workers."""
         from distributed import KilledWorker, TimeoutError
 
-        told = False
+        noted = False
         while True:
             try:
                 return future.result(timeout=2)
             except TimeoutError:
                 if self._client.status not in ("running", "connecting"):
                     raise RuntimeError("the scheduler cannot be reached any more") from None
-                if not told and not self.workers():
-                    told = True
-                    self._tell("there are no workers: waiting for one to join")
+                if not noted and not self.workers():
+                    noted = True
+                    self._note("there are no workers: waiting for one to join")
             except KilledWorker as error:
                 raise RuntimeError(
                     "a pass ended every worker that tried it (too little memory?)"
@@ -196,12 +196,12 @@ class Cluster:
 
 
 def _same(archive: bytes) -> bytes:
-    """Carries the archive: a result of a task can be made again when a worker is lost."""
+    """The archive as the result of a task, which Dask can repeat when a worker is lost."""
     return archive
 
 
 @contextlib.contextmanager
-def connect(where: str, tell: Callable[[str], Any] = lambda text: None) -> Iterator[Cluster]:
+def connect(where: str, note: Callable[[str], Any] = lambda text: None) -> Iterator[Cluster]:
     """Connect to a scheduler by its address, such as tcp://host:8786.
 
     ``local`` starts one with two workers on this machine, ``local:N`` with N, which share its
@@ -209,7 +209,7 @@ def connect(where: str, tell: Callable[[str], Any] = lambda text: None) -> Itera
     """
     require()
     distributed: Any = importlib.import_module("distributed")  # whose functions have no types
-    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # we say it in a sentence
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # the error below is enough
     match = re.fullmatch(r"local(?::([1-9]\d{0,2}))?", where)
     with contextlib.ExitStack() as stack:
         address: Any = where
@@ -235,4 +235,4 @@ def connect(where: str, tell: Callable[[str], Any] = lambda text: None) -> Itera
                 f"--cluster is {where!r}: no scheduler answers there "
                 "(it must be local, local:N, or an address such as tcp://host:8786)"
             ) from error
-        yield Cluster(client, tell)
+        yield Cluster(client, note)

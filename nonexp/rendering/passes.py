@@ -30,7 +30,7 @@ MIN_PASSES = 8
 """Fewest passes, where the number of samples allows: below, the standard error is a guess."""
 
 MAX_PASS_SAMPLES = 1 << 22
-"""Most samples of one pass over all pixels: bounds memory, and the wait between two passes."""
+"""Most samples of a pass over all pixels: bounds memory, and the time between two passes."""
 
 # Dr.Jit adds samples to pixels in parallel. The sum is the same in every run if no two threads
 # share a pixel: with passes of a power of two that is so for large passes (the work is split in

@@ -62,3 +62,4 @@ def bar(name: str, pixels: int, error: float | None) -> Iterator[Callable[[Progr
             rows.update(task, completed=share, state=state)
 
         yield show
+        rows.refresh()  # Jupyter would keep the last but one

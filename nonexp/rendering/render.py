@@ -2,7 +2,7 @@
 
 Mitsuba renders an image in one uninterruptible call. Here it is the mean of passes: images of few
 samples per pixel with independent random numbers. Between passes there is progress to report, a
-target to compare with and a checkpoint to write, and their spread says how noisy the mean is.
+target to compare with and a checkpoint to write; their spread says how noisy the mean is.
 Works for any scene and integrator of Mitsuba.
 
 >>> import mitsuba as mi, nonexp
@@ -72,14 +72,14 @@ def render(
     after each pass, and may raise to stop the run.
 
     ``checkpoint`` names a file that receives the state every ``interval`` seconds, at the end, and
-    when the run is broken off; where it exists the run goes on from there, unless ``resume`` is
-    false, and ``ValueError`` says so if it is of another render. What counts as the same render
-    is in ``identity``, by default the scene's files, or :func:`nonexp.scene.identity.of_scene` for
+    when the run is interrupted; where it exists the run goes on from there, unless ``resume`` is
+    false, and ``ValueError`` says so if it is of another render. ``identity`` says what counts as
+    the same render, by default the scene's files, or :func:`nonexp.scene.identity.of_scene` for
     a scene in memory. ``source`` renders the passes elsewhere.
 
     With a box filter and the ``independent`` sampler the same scene, seed, size and number of
     passes give the same image to the last bit on the same type of machine, however often the run
-    was broken off; otherwise to about 1e-5 (sums are made in parallel). Threads that call this
+    was interrupted; otherwise to about 1e-5 (sums are made in parallel). Threads that call this
     function render one after the other.
 
     Raises ``ValueError`` for an argument that is not allowed, for a scene file that cannot be

@@ -32,12 +32,12 @@ class Targets:
     passes: int | None = None
     """number of passes"""
     time: float | None = None
-    """seconds spent; no pass is begun that would end later"""
+    """seconds spent; no pass is started that would end later"""
     error: float | None = None
     """relative standard error of the image, held with 95 % confidence: :class:`Noise`"""
 
     def reached(self, done: int, seconds: float, pass_seconds: float, noise: Noise) -> str | None:
-        """What is reached: spp, error, time, or None."""
+        """The target that is reached: spp, error, time, or None."""
         if self.passes is not None and done >= self.passes:
             return "spp"
         if self.error is not None and noise.bound <= self.error:
@@ -47,7 +47,7 @@ class Targets:
         return None
 
     def seconds_left(self, done: int, seconds: float, pass_seconds: float, noise: Noise) -> float:
-        """Estimated time until the first is reached; infinite where nobody can say."""
+        """Estimated time until the first is reached; infinite where that is unknown."""
         left = [math.inf]
         if self.passes is not None:
             left.append((self.passes - done) * pass_seconds)
@@ -96,7 +96,7 @@ class Progress:
 
 
 class Run:
-    """A render on its way to its targets, from the ``moments`` and ``seconds`` that it has."""
+    """A render in progress, from the ``moments`` and ``seconds`` that it has."""
 
     def __init__(
         self, targets: Targets, pass_spp: int, moments: Moments, seconds: float = 0.0
@@ -123,7 +123,7 @@ class Run:
         self.stopped = self._reached()
 
     def progress(self) -> Progress:
-        """How far it is."""
+        """Its state now."""
         state = (self.moments.passes, self.seconds, self._pass_seconds(), self._look())
         done, seconds, pass_seconds, noise = state
         left = self._targets.seconds_left(*state)
@@ -145,7 +145,7 @@ class Run:
         return targets.reached(done, self.seconds, self._pass_seconds(), noise)
 
     def _look(self) -> Noise:
-        """Noise at the latest look; found only when somebody asks, for it takes a while."""
+        """Noise at the latest look; computed only on demand, because it takes a while."""
         if self._outdated and is_checked(self.moments.passes):
             self._noise, self._outdated = Noise.of(self.moments), False
         return self._noise

@@ -28,7 +28,7 @@ def stdout() -> Console:
 def table(*columns: str, numbers: bool = False, lines: bool = False) -> Table:
     """An empty table: framed in a terminal, without a frame and 100 columns wide elsewhere.
 
-    Text wraps within the cells but those of the first column, at which rows are told apart.
+    Text wraps within the cells, except in the first column, which marks where a row begins.
     ``numbers`` aligns the other columns to the right and does not wrap them; ``lines`` rules rows.
     """
     from rich import box
