@@ -11,7 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 import nonexp
-from nonexp.images.exr import tone_map
+from nonexp.images import tone_map
 
 SCENE = Path(__file__).parent.parent / "scenes" / "dragon.xml"
 QUALITY = float(os.environ.get("NONEXP_QUALITY", 1))

@@ -461,7 +461,7 @@ def test_scaling_scenes_can_be_built(axis: scaling.Axis) -> None:
         (["--scenes", "moon"], "scene is 'moon': it must be one of dragon"),
         (["--time", "soon"], "--time is 'soon': it must be a time > 0"),
         (["--seed", "-1"], "--seed is '-1'"),
-        (["--list", "--scaling"], "not allowed with"),
+        (["--list", "--scaling"], "--list and --scaling exclude each other"),
         (["--compare", "a", "b", "c"], "--compare got 3 files"),
         (["--compare", "no_such.json"], "no_such.json"),
         (["--variant", "cuda_no_such"], "variant 'cuda_no_such' is unknown"),

@@ -21,6 +21,7 @@ import nonexp
 from nonexp.images.moments import Moments
 from nonexp.rendering import checkpoint
 from nonexp.rendering.checkpoint import Checkpoint
+from nonexp.rendering.job import RenderJob
 from nonexp.scene import identity as sceneid
 from nonexp.system import files
 
@@ -101,7 +102,7 @@ def test_every_flipped_bit_and_every_truncation_is_noticed(tmp_path: Path) -> No
             checkpoint.read(path)
     for length in (*range(0, len(whole), 7), len(whole) - 1):
         path.write_bytes(whole[:length])
-        loaded = checkpoint.load(path)
+        loaded = checkpoint.newest(path)
         assert loaded is not None
         found, wrong = loaded
         assert_equal(found.moments, state(1).moments)
@@ -110,11 +111,11 @@ def test_every_flipped_bit_and_every_truncation_is_noticed(tmp_path: Path) -> No
 
 def test_without_a_whole_one_it_is_said(tmp_path: Path) -> None:
     path = tmp_path / "a.checkpoint"
-    assert checkpoint.load(path) is None
+    assert checkpoint.newest(path) is None
     path.write_bytes(b"nonsense")
     checkpoint.older(path).write_bytes(b"")
     with pytest.raises(ValueError, match=r"is damaged: .*, and there is no older one: delete it"):
-        checkpoint.load(path)
+        checkpoint.newest(path)
 
 
 @pytest.mark.parametrize("call", ["write", "fsync", "replace"])
@@ -151,7 +152,7 @@ def test_wherever_writing_breaks_off_one_checkpoint_is_whole(
     except PowerCut:
         pass
     monkeypatch.undo()
-    loaded = checkpoint.load(path)
+    loaded = checkpoint.newest(path)
     assert loaded is not None
     assert_equal(loaded[0].moments, state(loaded[0].moments.passes).moments)
     assert loaded[0].moments.passes >= 2
@@ -163,26 +164,40 @@ def test_an_identity_is_what_json_can_hold(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"identity is .*: it must be what JSON can hold"):
         nonexp.render(mi.load_dict(mi.cornell_box()), checkpoint=file, identity={"a": tmp_path})
     assert not file.exists()
-    assert checkpoint.differences({"a": {"b": 1}}, {"a": "c"}) == ["a was {'b': 1}, is c"]
+    assert sceneid.differences({"a": {"b": 1}}, {"a": "c"}) == ["a was {'b': 1}, is c"]
 
 
-def test_leftovers_of_killed_runs_are_removed(tmp_path: Path) -> None:
-    target = tmp_path / "a.exr"
-    dead = subprocess.Popen([sys.executable, "-c", ""])
-    dead.wait()
-    ours = f"{os.getpid()}.{files._RUN}"  # in a container the next run may have our number
-    left = [f".a.exr.{run}.part" for run in (f"{dead.pid}.0", f"{os.getpid()}.0")]
-    kept = [f".a.exr.{ours}.part", ".a.exr.x.0.part", ".b.exr.1.0.part", "a.exr"]
-    for name in (*left, *kept):
+def test_leftovers_of_killed_runs_are_removed_after_a_day(tmp_path: Path) -> None:
+    target = tmp_path / "[a].exr"
+    killed = "import os, sys, pathlib; from nonexp.system.files import replacing\n"
+    killed += "with replacing(pathlib.Path(sys.argv[1])) as (p,): p.write_text(''); os._exit(9)"
+    assert subprocess.run([sys.executable, "-c", killed, target]).returncode == 9
+    (left,) = tmp_path.iterdir()
+    kept = [".[a].exr.0123.part", ".b.exr.0123.part", "[a].exr", ".a.exr.0123.part"]
+    for name in kept:
         (tmp_path / name).write_text("")
-        os.utime(tmp_path / name, (1e9, 1e9))
+    for path in (left, *(tmp_path / name for name in kept[1:])):
+        os.utime(path, (1e9, 1e9))
+    yesterday = time.time() - 80_000  # it may be that of a run on another machine
+    os.utime(tmp_path / kept[0], (yesterday, yesterday))
     files.remove_leftovers(target)
     assert sorted(p.name for p in tmp_path.iterdir()) == sorted(kept)
 
 
+def test_two_writers_of_one_file_do_not_share_a_temporary_one(tmp_path: Path) -> None:
+    target = tmp_path / "a"
+    with files.replacing(target) as (first,), files.replacing(target) as (second,):
+        first.write_text("1")
+        second.write_text("2")
+    assert target.read_text() == "1" and [p.name for p in tmp_path.iterdir()] == ["a"]
+
+
 def test_a_disk_that_is_full_is_told_once_and_old_files_stay(tmp_path: Path) -> None:
     path, told = tmp_path / "gone" / "a.checkpoint", []
-    keeper = checkpoint.Keeper(path, {}, 0.0, keep_present=False, warn=told.append)
+    path.parent.mkdir()
+    job = RenderJob.of_scene(scene(), checkpoint=path, interval=0)
+    path.parent.rmdir()
+    keeper = checkpoint.Keeper(job, keep_present=False, warn=told.append)
     for passes in (1, 2, 3):
         keeper.offer(state(passes).moments, 1.0)
         time.sleep(0.01)
@@ -205,7 +220,7 @@ def test_differences_are_named() -> None:
         "seed": 1,
         "versions": {"mitsuba": "3.9.1"},
     }
-    assert checkpoint.differences(before, now) == [
+    assert sceneid.differences(before, now) == [
         "parameter alpha was 0.5, is 0.7",
         "parameter b was not given, is 1",
         "file b.ply has changed",
@@ -213,7 +228,7 @@ def test_differences_are_named() -> None:
         "size was 480x360, is 48x36",
         "version mitsuba was 3.9.0, is 3.9.1",
     ]
-    assert checkpoint.differences(now, now) == []
+    assert sceneid.differences(now, now) == []
 
 
 # --------------------------------------------------------------------- resuming from Python
@@ -244,7 +259,7 @@ def test_a_broken_run_goes_on_to_the_same_bits(tmp_path: Path, interval: float) 
     whole = nonexp.render(scene(), spp=40, seed=3)
     for after in (1, 4, 5):
         broken_off(scene(), path, after, spp=40, seed=3, interval=interval)
-        saved = checkpoint.load(path)
+        saved = checkpoint.newest(path)
         assert saved is not None and saved[0].moments.passes == after
     seen: list[nonexp.Progress] = []
     image = nonexp.render(scene(), spp=40, seed=3, checkpoint=path, on_progress=seen.append)
@@ -307,7 +322,7 @@ def test_another_version_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     path = tmp_path / "c"
     broken_off(scene(), path, 2, spp=16)
     versions = sceneid.versions()
-    monkeypatch.setattr(sceneid, "versions", lambda: {**versions, "drjit": "9.9"})
+    monkeypatch.setattr("nonexp.rendering.job.versions", lambda: {**versions, "drjit": "9.9"})
     with pytest.raises(ValueError, match=r"version drjit was [\d.]+, is 9\.9"):
         nonexp.render(scene(), spp=16, checkpoint=path)
 
@@ -320,7 +335,7 @@ def test_the_identity_of_a_scene_is_that_of_its_twin() -> None:
     params = mi.traverse(target)
     params["ball.bsdf.reflectance.value"] = 0.25
     params.update()
-    differ = checkpoint.differences(first, sceneid.of_scene(target))
+    differ = sceneid.differences(first, sceneid.of_scene(target))
     assert "value ball.bsdf.reflectance.value has changed" in differ
 
 
@@ -395,7 +410,7 @@ def test_a_run_killed_again_and_again_gives_the_same_bits(tmp_path: Path, effort
     path = tmp_path / "broken.exr.checkpoint"
 
     def passes() -> int:
-        found = checkpoint.load(path)  # raises if neither file is whole
+        found = checkpoint.newest(path)  # raises if neither file is whole
         return found[0].moments.passes if found else 0
 
     reached = [0]
@@ -450,7 +465,8 @@ def test_a_target_that_is_reached_already_ends_the_render(tmp_path: Path) -> Non
     file = tmp_path / "checkpoint"
     film = {"type": "hdrfilm", "width": 4, "height": 4, "rfilter": {"type": "box"}}
     sensor = {"type": "perspective", "film": film}
-    target = mi.load_dict({"type": "scene", "i": {"type": "direct"}, "sensor": sensor})
+    parts = {"integrator": {"type": "direct"}, "light": {"type": "constant"}, "sensor": sensor}
+    target = mi.load_dict({"type": "scene", **parts})
 
     def stop(progress: nonexp.Progress) -> None:
         if progress.done == 3:

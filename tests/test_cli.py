@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
+import math
 import os
 import re
 import signal
@@ -19,13 +21,12 @@ import pytest
 
 import nonexp
 from nonexp import __version__, cli, fitting, models, rendering
-from nonexp.cli import arguments as cli_common
-from nonexp.cli import progress as cli_progress
 from nonexp.images import denoise as denoising
-from nonexp.images import exr as output
-from nonexp.images import moments
-from nonexp.rendering import targets
-from nonexp.scene import load as scenefile
+from nonexp.images import exr, moments
+from nonexp.images.png import tone_map
+from nonexp.parameters import describe
+from nonexp.rendering import progress, targets
+from nonexp.scene.load import load
 
 SCENE = """
 <scene version="3.0.0">
@@ -153,7 +154,7 @@ def test_the_exr_holds_mean_stderr_and_how_it_was_made(folder: Path) -> None:
     assert float(str(header["nonexp:seconds"])) > 0
     assert 0 < float(str(header["nonexp:error"])) < 1
 
-    loaded = scenefile.load(Path("scene.xml"), {"alpha": "0.5"})
+    loaded = load(Path("scene.xml"), {"alpha": "0.5"})
     image = nonexp.render(loaded.scene, spp=16, seed=7)
     for i, name in enumerate("RGB"):
         np.testing.assert_array_equal(channels[name], image.mean[:, :, i].astype(np.float32))
@@ -183,11 +184,11 @@ def test_the_picture_is_tone_mapped(run: Run, folder: Path) -> None:
 
 def test_tone_mapping_rises_smoothly_to_white() -> None:
     x = np.linspace(0, 20, 20001)
-    y = output.tone_map(x)
+    y = tone_map(x)
     assert (np.diff(y[x < 5]) > 0).all()
     assert np.abs(np.diff(y[x > 0.5], 2)).max() < 1e-5  # no kink
     assert 0.999 < y[-1] <= 1
-    assert output.tone_map(np.array([-1.0, np.nan, np.inf])) == pytest.approx([0, 0, 1])
+    assert tone_map(np.array([-1.0, np.nan, np.inf])) == pytest.approx([0, 0, 1])
 
 
 @pytest.mark.parametrize(("spp", "told"), [("8", ""), ("100", "--spp 100 becomes 104: 13 passes")])
@@ -197,6 +198,60 @@ def test_rounding_of_spp_is_told(run: Run, spp: str, told: str) -> None:
     assert err.startswith(f"nonexp: {told}" if told else "")
     assert bool(err) == bool(told)
     assert f"{104 if told else 8} samples per pixel" in out
+
+
+@pytest.mark.parametrize("name", ["a.png", "a.exr"])
+def test_an_output_is_named_by_its_picture_or_its_exr(run: Run, folder: Path, name: str) -> None:
+    code, out, err = run("scene.xml", "-o", name)
+    assert (code, err) == (0, "") and out.startswith("a.exr: 8 samples per pixel")
+    assert {p.name for p in folder.iterdir()} == {"a.exr", "a.png", "media", "scene.xml"}
+    with pytest.raises(ValueError, match=r"output is 'a\.jpg': it must be a file name in \.exr or"):
+        exr.exr_path(Path("a.jpg"))
+
+
+def test_a_sensor_is_chosen_by_number_or_id(run: Run, folder: Path) -> None:
+    second = re.findall(r"    <sensor.*</sensor>\n", SCENE, re.DOTALL)[0]
+    for old, new in (
+        ('type="perspective"', 'type="thinlens" id="side"'),
+        ('origin="0, 0, 4"', 'origin="3, 0, 0"'),
+        ("<sampler", '<float name="aperture_radius" value="0.1"/><sampler'),
+        ('name="width" value="12"', 'name="width" value="7"'),
+        ("$filter", "gaussian"),
+    ):
+        assert old in second
+        second = second.replace(old, new)
+    (folder / "scene.xml").write_text(SCENE.replace("    <emitter", second + "    <emitter", 1))
+    for name, sensor in (("a", "1"), ("b", "side"), ("c", "0")):
+        assert run("scene.xml", "-o", f"{name}.exr", "--sensor", sensor)[::2] == (0, "")
+    (a, seen), (b, same), (c, other) = (read(folder / f"{name}.exr") for name in "abc")
+    assert seen["R"].shape == (10, 7) and other["R"].shape == (10, 12)
+    np.testing.assert_allclose(same["R"], seen["R"], atol=1e-5)
+    assert (a["nonexp:filter"], c["nonexp:filter"]) == ("GaussianFilter", "BoxFilter")
+    identities = [json.loads(str(header["nonexp:identity"])) for header in (a, b, c)]
+    assert [(i["sensor"], i["size"]) for i in identities] == [(1, [7, 10])] * 2 + [(0, [12, 10])]
+
+
+# --------------------------------------------------------------------- black images
+
+BLACK = (
+    "the image is black everywhere: no light reaches the camera "
+    "(fog without bounds is black, by theory, under a directional light or an environment)"
+)
+
+
+def test_a_black_image_is_told_and_has_no_error(run: Run, folder: Path) -> None:
+    job = ("scene.xml", "-D", "radiance=0", "--error", "1%", "--pass-spp", "1")
+    code, out, err = run(*job, "--spp", "12")
+    assert (code, err) == (0, f"nonexp: warning: {BLACK}\n")
+    assert "error" not in out and "12 samples per pixel in 12 passes" in out
+    header, channels = read(folder / "scene.exr")
+    assert header["nonexp:stopped"] == "spp" and math.isnan(float(str(header["nonexp:error"])))
+    assert not channels["R"].any()
+    code, out, err = run(*job)
+    assert (code, out) == (2, "")
+    why = f"after 64 passes {BLACK}; add spp or time as a second target to go on"
+    said = f"error is 0.01, which cannot be reached: {why}"
+    assert err == f"nonexp: error: {said}\n"
 
 
 # --------------------------------------------------------------------- size
@@ -217,7 +272,7 @@ def test_size_changes_the_camera_and_the_crop_window_too(folder: Path) -> None:
     )
     path = folder / "scene.xml"
     path.write_text(SCENE.replace("<rfilter", crop + "<rfilter"))
-    camera = scenefile.load(path, {}, (24, 40)).scene.sensors()[0]
+    camera = load(path, {}, (24, 40)).scene.sensors()[0]
     assert list(camera.film().size()) == [24, 40]
     assert list(camera.film().crop_size()) == [8, 20]
     assert list(camera.film().crop_offset()) == [16, 20]
@@ -225,9 +280,9 @@ def test_size_changes_the_camera_and_the_crop_window_too(folder: Path) -> None:
     import mitsuba as mi
 
     path.write_text(SCENE)
-    resized = scenefile.load(path, {}, (24, 40)).scene.sensors()[0]
+    resized = load(path, {}, (24, 40)).scene.sensors()[0]
     path.write_text(SCENE.replace('value="12"', 'value="24"').replace('value="10"', 'value="40"'))
-    written = scenefile.load(path, {}).scene.sensors()[0]
+    written = load(path, {}).scene.sensors()[0]
     rays = [s.sample_ray(0, 0, mi.Point2f(0.9, 0.1), 0)[0].d for s in (resized, written)]
     np.testing.assert_array_equal(np.array(rays[0]), np.array(rays[1]))
 
@@ -297,7 +352,7 @@ ERRORS: dict[str, tuple[list[str], str]] = {
     "variant": (["scene.xml", "--variant", "foo"], "variant 'foo' is unknown: .*llvm_ad_rgb, "),
     "scalar": (["scene.xml", "--variant", "scalar_rgb"], "'scalar_rgb' is not supported: .*llvm_"),
     "output folder": (["scene.xml", "-o", "no/a.exr"], "output is 'no/a.exr': its folder 'no' "),
-    "output name": (["scene.xml", "-o", "a.png"], r"output is 'a.png': .*\.exr"),
+    "output name": (["scene.xml", "-o", "a.jpg"], r"output is 'a.jpg': .*\.exr or \.png"),
     "output is a folder": (["scene.xml", "-o", "dir.exr"], "output is 'dir.exr': .* is a folder"),
     "picture is a folder": (["scene.xml", "-o", "pic.exr"], "'pic.png' is a folder"),
     "unwritable": (["scene.xml", "-o", "/proc/a.exr"], "its folder '/proc' must be writable"),
@@ -310,13 +365,26 @@ ERRORS: dict[str, tuple[list[str], str]] = {
     "definition": (["scene.xml", "-D", "medium"], "-D is 'medium': it must be key=value"),
     "time": (["scene.xml", "--time", "soon"], "--time is 'soon': it must be a time > 0, as in"),
     "no time": (["scene.xml", "--time", "0m"], "--time is '0m': it must be a time > 0"),
-    "error": (["scene.xml", "--error", "200%"], "--error is '200%': it must lie between 0 and 100"),
+    "error": (
+        ["scene.xml", "--error", "200%"],
+        "--error is '200%': it must lie between 0 and 1",
+    ),
     "error text": (["scene.xml", "--error", "low"], "--error is 'low': it must lie between"),
     "pass size": (["scene.xml", "--pass-spp", "0"], "--pass-spp is '0': it must be a whole number"),
     "interval": (["scene.xml", "--checkpoint", "-5"], "--checkpoint .*"),
     "nothing to resume": (["scene.xml", "--resume", "--checkpoint", "off"], "--resume needs check"),
-    "resume or not": (["scene.xml", "--resume", "--restart"], "not allowed with argument"),
-    "option": (["scene.xml", "--sp"], "--sp"),
+    "resume or not": (
+        ["scene.xml", "--resume", "--restart"],
+        "--resume and --restart exclude each other",
+    ),
+    "option": (
+        ["scene.xml", "--sp"],
+        r"Unknown option: --sp\. Did you mean --spp\? \(see nonex",
+    ),
+    "no flag": (["scene.xml", "--no-resume"], "Unknown option: --no-resume"),
+    "too much": (["scene.xml", "other.xml"], "Unused Tokens: .'other.xml'"),
+    "sensor": (["scene.xml", "--sensor", "2"], "sensor is '2': it must be one of .*: 0$"),
+    "sensor id": (["scene.xml", "--sensor", "top"], "sensor is 'top': it must be one of .*: 0$"),
 }
 
 
@@ -355,7 +423,7 @@ def test_a_failure_while_writing_leaves_the_old_files(
     for name in ("scene.exr", "scene.png"):
         (folder / name).write_text("old")
     before = sorted(folder.iterdir())
-    monkeypatch.setattr(output, stage, fail)
+    monkeypatch.setattr(exr, stage, fail)
     code, out, err = run("scene.xml")
     assert (code, out) == (2, "")
     assert err == (
@@ -372,7 +440,7 @@ def test_a_failure_while_rendering_is_one_sentence(
     def fail(*_: object, **__: object) -> None:
         raise RuntimeError("[integrator.cpp:12] out of\n  memory")
 
-    monkeypatch.setattr("nonexp.rendering.render.render", fail)
+    monkeypatch.setattr("nonexp.cli.render.run", fail)
     assert run("scene.xml") == (2, "", "nonexp: error: out of memory\n")
     assert not (folder / "scene.exr").exists()
 
@@ -380,7 +448,8 @@ def test_a_failure_while_rendering_is_one_sentence(
 def test_the_output_is_checked_before_the_scene_is_loaded(
     run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(scenefile, "load", lambda *_: pytest.fail("the scene was loaded"))
+    loaded = lambda *_: pytest.fail("the scene was loaded")  # noqa: E731
+    monkeypatch.setattr("nonexp.cli.arguments.load_scene", loaded)
     assert run("scene.xml", "-o", "no/a.exr")[0] == 2
 
 
@@ -420,7 +489,7 @@ def test_a_signal_ends_the_run_after_the_pass(
     monkeypatch.undo()
     monkeypatch.chdir(folder)
     assert run("scene.xml", "--resume")[::2] == (0, "")
-    whole = nonexp.render(scenefile.load(Path("scene.xml"), {}).scene)
+    whole = nonexp.render(load(Path("scene.xml"), {}).scene)
     np.testing.assert_array_equal(
         read(folder / "scene.exr")[1]["R"], whole.mean[:, :, 0].astype(np.float32)
     )
@@ -432,7 +501,7 @@ def test_ctrl_c_while_the_image_is_written_tells_of_the_checkpoint(
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(output, "write", interrupted)
+    monkeypatch.setattr("nonexp.cli.render.write", interrupted)
     (folder / "scene.exr.checkpoint").write_text("")  # damaged; its time lies ahead
     os.utime(folder / "scene.exr.checkpoint", (4e9, 4e9))
     code, out, err = run("scene.xml", "--checkpoint", "off")
@@ -451,7 +520,7 @@ def test_ctrl_c_before_the_first_pass_writes_nothing(
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(scenefile, "load", interrupted)
+    monkeypatch.setattr("nonexp.cli.arguments.load_scene", interrupted)
     before = sorted(folder.iterdir())
     assert run("scene.xml") == (130, "", "nonexp: interrupted, nothing written\n")
     assert sorted(folder.iterdir()) == before
@@ -524,7 +593,9 @@ def test_fit_compares_models_best_first(command: Command, chosen: tuple[str, ...
     options = [word for name in chosen for word in ("--model", name)]
     code, out, err = command("fit", "data.csv", *options, "--fix", "b=3")
     assert (code, err) == (0, "")
-    table = out.partition("\n\n")[0].splitlines()
+    lines = out.partition("\n\n")[0].splitlines()
+    assert all(len(line) <= 100 or line.startswith("not fitted:") for line in lines)
+    table = [line for line in lines if not line.startswith(" ")]  # without what is wrapped
     assert table[0].split() == "model parameters sigma_t rms residual AIC - best".split()
     order = [row.split()[0] for row in table[1:]]
     compared = [name for name in order if name in ("gamma", "exponential", "linear")]
@@ -575,7 +646,7 @@ def test_plot_draws_a_model(
 
 
 MODEL_ERRORS: dict[str, tuple[list[str], str]] = {
-    "plot": (["plot"], "the following arguments are required: MODEL"),
+    "plot": (["plot"], 'Command "plot" parameter MODEL requires an argument'),
     "plot model": (["plot", "gama"], "model is 'gama': it must be one of "),
     "plot key": (["plot", "gamma", "b=1"], "gamma has no parameter 'b': its parameters are alpha"),
     "plot value": (["plot", "gamma", "alpha=0"], "Gamma.alpha is 0: it must be "),
@@ -643,21 +714,28 @@ def test_without_matplotlib_nothing_is_computed(
 # --------------------------------------------------------------------- other commands
 
 
-def test_models_lists_every_model(capsys: pytest.CaptureFixture[str]) -> None:
+def test_models_lists_every_model_in_100_columns(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["models"]) == 0
     out = capsys.readouterr().out
     assert "\x1b" not in out
     lines = out.splitlines()
-    for name in models.names():
-        (line,) = (line for line in lines if line.split()[0] == name)
-        law = (models.registry[name].__doc__ or "").splitlines()[0]
-        assert law in line
-        assert (
-            line.split()[-1]
-            == f"{models.create(name, **models.registry[name].examples[0]).sigma_bar:.6g}"
-        )
-    (gamma,) = (line for line in lines if line.startswith("gamma"))
-    assert "alpha = 2 (> 0)" in gamma
+    assert max(map(len, lines)) <= 100
+    starts = [lines[0].index(name) for name in ("model", "transm", "parameters", "sigma_bar")]
+    rows: dict[str, list[str]] = {}
+    for line in lines[1:-1]:
+        cells = [line[a:b].strip() for a, b in zip(starts, [*starts[1:], None], strict=True)]
+        name = cells[0] or list(rows)[-1]
+        held = rows.setdefault(name, ["", "", ""])
+        rows[name] = [f"{old} {new}".strip() for old, new in zip(held, cells[1:], strict=True)]
+    assert list(rows) == models.names()
+    for name, (law, parameters, sigma_bar) in rows.items():
+        cls = models.registry[name]
+        assert law == (cls.__doc__ or "").splitlines()[0].strip()
+        assert sigma_bar == f"{models.create(name, **cls.examples[0]).sigma_bar:.6g}"
+        fields = [describe(field) for field in dataclasses.fields(cls)]  # type: ignore[arg-type]
+        assert parameters.split() == " ".join(fields or ["none"]).split()
+    assert "alpha = 2 (> 0)" in rows["gamma"][1]
+    assert lines[-1].startswith("tau is optical depth, sigma_bar = ")
 
 
 def test_doctor_says_that_this_machine_can_render(capsys: pytest.CaptureFixture[str]) -> None:
@@ -674,7 +752,7 @@ def test_help_and_version() -> None:
     shown = subcommand("--help")
     assert shown.returncode == 0
     for command in cli.COMMANDS:
-        assert f"\n    {command} " in shown.stdout
+        assert re.search(rf"^\W*{command} +\w", shown.stdout, re.MULTILINE)
 
 
 @pytest.mark.parametrize("arguments", [[], ["rendre"], ["render"]])
@@ -693,7 +771,7 @@ def test_targets_of_the_command_are_those_of_the_library(run: Run, folder: Path)
     code, out, err = run(*job, "--error", "6%", "--time", "1h")
     assert (code, err) == (0, "")
     header, channels = read(folder / "scene.exr")
-    loaded = scenefile.load(Path("scene.xml"), {})
+    loaded = load(Path("scene.xml"), {})
     image = nonexp.render(loaded.scene, error=0.06, seed=3, pass_spp=2)
     assert (header["nonexp:passes"], header["nonexp:stopped"]) == (image.passes, "error")
     assert header["nonexp:error"] == pytest.approx(image.error)
@@ -708,8 +786,8 @@ def test_targets_of_the_command_are_those_of_the_library(run: Run, folder: Path)
     ("text", "seconds"), [("90", 90), ("90s", 90), ("10m", 600), ("2h30m", 9000), ("1.5d", 129600)]
 )
 def test_times_are_understood(text: str, seconds: float) -> None:
-    assert cli_common.duration(text) == seconds
-    assert cli_common.fraction("1.5%") == cli_common.fraction("0.015") == pytest.approx(0.015)
+    assert targets.seconds(text) == seconds
+    assert targets.fraction("1.5%") == targets.fraction("0.015") == pytest.approx(0.015)
 
 
 @pytest.mark.parametrize(
@@ -723,12 +801,12 @@ def test_times_are_understood(text: str, seconds: float) -> None:
     ],
 )
 def test_times_are_written_as_people_do(seconds: float, text: str) -> None:
-    assert cli_progress.time(seconds) == text
+    assert progress.time(seconds) == text
 
 
 def test_progress_is_one_line() -> None:
-    progress = targets.Progress(12, None, 30.0, 16, 2.5, moments.Noise(0.034, 0.035), 1234.0)
-    said = cli_progress.describe(progress, 480 * 360, 0.01)
+    shown = targets.Progress(12, None, 30.0, 16, 2.5, moments.Noise(0.034, 0.035), 1234.0)
+    said = progress.describe(shown, 480 * 360, 0.01)
     assert said == "192 spp, 1.1 M/s, error 3.40% (to be 1%), 20 min 34 s left"
 
 

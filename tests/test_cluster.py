@@ -21,9 +21,9 @@ import pytest
 import nonexp
 from nonexp import cli, rendering
 from nonexp.rendering import Plan, cluster
-from nonexp.scene import files as scenefiles
-from nonexp.scene import identity as sceneid
-from nonexp.scene import load as scenefile
+from nonexp.rendering.job import RenderJob
+from nonexp.rendering.render import run
+from nonexp.scene.load import load
 
 pytest.importorskip("distributed")
 
@@ -78,38 +78,45 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "scene.xml"
 
 
-def job(passes: int | None, parameters: dict[str, str] | None = None) -> cluster.Job:
-    return cluster.Job(
-        root="scene.xml",
-        parameters=parameters or {},
-        size=None,
-        variant=mi.variant() or "",
-        plan=Plan(passes, 4),
-        seed=5,
-        versions=sceneid.versions(),
-    )
+def job(path: Path, passes: int, **parameters: str) -> RenderJob:
+    loaded = load(path, parameters)
+    return RenderJob.of_file(loaded, path, parameters, spp=4 * passes, pass_spp=4, seed=5)
 
 
 def test_the_passes_are_those_of_one_machine_in_order(workers: cluster.Cluster, path: Path) -> None:
     assert workers.workers() == 2
     assert re.match(r"http://.*:\d+/status", workers.dashboard)
-    files = scenefiles.collect(path, {})
-    here = list(rendering.render_passes(scenefile.load(path, {}).scene, Plan(9, 4), 5))
-    there = list(workers.passes(files, job(9)))
+    here = list(rendering.render_passes(load(path, {}).scene, Plan(9, 4), 5))
+    there = list(workers.passes(job(path, 9)))
     np.testing.assert_array_equal(there, here)
-    np.testing.assert_array_equal(list(workers.passes(files, job(9), start=6)), here[6:])
-    other = next(workers.passes(scenefiles.collect(path, {"b": "2"}), job(1, {"b": "2"})))
+    np.testing.assert_array_equal(list(workers.passes(job(path, 9), start=6)), here[6:])
+    other = next(workers.passes(job(path, 1, b="2")))
     assert not np.array_equal(other, here[0])
 
 
+def test_a_worker_renders_the_sensor_asked_for(workers: cluster.Cluster, path: Path) -> None:
+    second = SCENE[SCENE.index("    <sensor") : SCENE.index("    <emitter")]
+    second = second.replace("<sensor", '<sensor id="side"').replace("0, 0, 4", "0, 3, 2")
+    path.write_text(SCENE.replace("    <emitter", second + "    <emitter"))
+    loaded = load(path, {})
+    asked = RenderJob.of_file(loaded, path, {}, spp=4, pass_spp=4, sensor="side")
+    here = list(rendering.render_passes(loaded.scene, Plan(1, 4), sensor="side"))
+    np.testing.assert_array_equal(list(workers.passes(asked)), here)
+    other = list(rendering.render_passes(loaded.scene, Plan(1, 4)))
+    assert not np.array_equal(here, other)
+
+
+def test_a_scene_in_memory_has_nothing_to_send(workers: cluster.Cluster) -> None:
+    scene = mi.load_dict(mi.cornell_box())
+    with pytest.raises(ValueError, match="a scene in memory has no files to send to a cluster"):
+        nonexp.render(scene, spp=4, source=workers.passes)
+
+
 def test_an_open_end_is_cut_when_enough_is_there(workers: cluster.Cluster, path: Path) -> None:
-    files, loaded = scenefiles.collect(path, {}), scenefile.load(path, {})
-
-    def source(plan: Plan, seed: int, start: int) -> Iterator[rendering.Array]:
-        return workers.passes(files, replace(job(None), plan=plan, seed=seed), start)
-
-    image = nonexp.render(loaded.scene, error=0.05, seed=3, pass_spp=2, source=source)
-    alone = nonexp.render(loaded.scene, error=0.05, seed=3, pass_spp=2)
+    loaded = load(path, {})
+    asked: dict[str, Any] = {"error": 0.05, "seed": 3, "pass_spp": 2}
+    image = run(RenderJob.of_file(loaded, path, {}, **asked), loaded.scene, source=workers.passes)
+    alone = nonexp.render(loaded.scene, **asked)
     assert image.stopped == alone.stopped == "error"
     assert image.passes == alone.passes
     np.testing.assert_array_equal(image.mean, alone.mean)
@@ -119,10 +126,9 @@ def test_an_open_end_is_cut_when_enough_is_there(workers: cluster.Cluster, path:
 def test_a_worker_that_is_killed_costs_time_but_nothing_else(
     workers: cluster.Cluster, path: Path
 ) -> None:
-    files = scenefiles.collect(path, {})
-    here = list(rendering.render_passes(scenefile.load(path, {}).scene, Plan(40, 4), 5))
+    here = list(rendering.render_passes(load(path, {}).scene, Plan(40, 4), 5))
     there = []
-    for number, image in enumerate(workers.passes(files, job(40))):
+    for number, image in enumerate(workers.passes(job(path, 40))):
         there.append(image)
         if number == 5:
             processes = workers._client.run(os.getpid)
@@ -131,10 +137,11 @@ def test_a_worker_that_is_killed_costs_time_but_nothing_else(
 
 
 def test_another_version_on_a_worker_is_refused(workers: cluster.Cluster, path: Path) -> None:
-    versions = {**sceneid.versions(), "drjit": "9.9"}
-    asked = replace(job(2), versions=versions)
+    asked = job(path, 2)
+    versions = {**asked.identity["versions"], "drjit": "9.9"}
+    asked = replace(asked, identity={**asked.identity, "versions": versions})
     with pytest.raises(ValueError, match=r"a worker on .* has drjit [\d.]+ instead of drjit 9\.9"):
-        next(workers.passes(scenefiles.collect(path, {}), asked))
+        next(workers.passes(asked))
 
 
 def test_the_command_renders_the_same_file(
@@ -164,7 +171,7 @@ def test_a_scheduler_that_is_killed_is_told_in_a_sentence(
     with subprocess.Popen([*dask, address.rpartition(":")[2]], **quiet) as scheduler:
         try:
             with cluster.connect(address) as where:
-                under_way = where.passes(scenefiles.collect(path, {}), job(1000))
+                under_way = where.passes(job(path, 1000))
                 threading.Timer(1.0, scheduler.kill).start()  # nobody has joined to work
                 with pytest.raises(RuntimeError, match="the scheduler cannot be reached any more"):
                     list(under_way)

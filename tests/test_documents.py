@@ -21,7 +21,7 @@ import yaml
 from measure import radiance
 
 from nonexp import __version__, cli, models
-from nonexp.scene import load as scenefile
+from nonexp.scene.load import load
 
 ROOT = Path(__file__).resolve().parent.parent
 README = ROOT / "README.md"
@@ -133,14 +133,14 @@ def test_command_is_understood(words: list[str], monkeypatch: pytest.MonkeyPatch
     program, arguments = words[0].removeprefix(".venv/bin/"), words[1:]
     assert program in KNOWN, f"{program}: a program that this test does not know"
     if program == "nonexp":
-        options = cli._parser().parse_args(arguments)
+        _, bound = cli.parse(arguments)
         for word in arguments:
             name = Path(word)
             if name.suffix in (".xml", ".csv") and len(name.parts) > 1:
                 assert name.is_file()
-        scene = getattr(options, "scene", None)
+        scene = bound.arguments.get("scene")
         if scene is not None and scene.parent.name == "scenes":
-            scenefile.load(scene, dict(options.parameters), (8, 6))
+            load(scene, dict(bound.arguments.get("parameters", ())), (8, 6))
     elif program == "make":
         makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
         for target in arguments:

@@ -13,9 +13,9 @@ import pytest
 
 from nonexp import cli
 from nonexp.images import compare as comparing
-from nonexp.images import exr as output
 from nonexp.images import merge as merging
-from nonexp.images.exr import Picture
+from nonexp.images import read
+from nonexp.images.exr import Picture, write_exr
 from nonexp.images.moments import Array, Moments
 
 IDENTITY = {"files": {"a.xml": "1"}, "size": [12, 10], "versions": {"mitsuba": "3.9.1"}}
@@ -215,7 +215,7 @@ def command(
         made = picture(factor * noise(seed, 16, 4, SHAPE), seed, filter="BoxFilter")
         assert made.stderr is not None
         layers = {"": made.mean, "stderr.": made.stderr}
-        output.write_exr(Path(f"{name}.exr"), layers, made.metadata)
+        write_exr(Path(f"{name}.exr"), layers, made.metadata)
     Path("text.exr").write_text("text")
 
     def run(*arguments: str) -> tuple[int, str, str]:
@@ -231,9 +231,9 @@ def test_merge_writes_one_image(command: Command) -> None:
     assert (code, err) == (0, "")
     assert out.startswith("ab.exr: 128 samples per pixel in 32 passes of 2 images, error ")
     assert Path("ab.png").is_file()
-    merged = output.read(Path("ab.exr"))
+    merged = read(Path("ab.exr"))
     assert merged.metadata["seeds"] == "[1, 2]"
-    expected = (output.read(Path("a.exr")).mean + output.read(Path("b.exr")).mean) / 2
+    expected = (read(Path("a.exr")).mean + read(Path("b.exr")).mean) / 2
     np.testing.assert_allclose(merged.mean, expected, rtol=1e-6)
     assert command("merge", "ab.exr", "b.exr", "-o", "abb.exr")[0] == 2
     assert not Path("abb.exr").exists()
@@ -259,7 +259,7 @@ def test_compare_gives_a_verdict(
 
 def test_compare_writes_the_difference_as_numbers(command: Command) -> None:
     assert command("compare", "a.exr", "b.exr", "-o", "d.exr")[0] == 0
-    a, b, d = (output.read(Path(f"{name}.exr")) for name in "abd")
+    a, b, d = (read(Path(f"{name}.exr")) for name in "abd")
     np.testing.assert_allclose(d.mean, a.mean - b.mean, atol=1e-6)
     np.testing.assert_allclose(d.stderr, np.hypot(a.stderr, b.stderr), rtol=1e-6)  # type: ignore[arg-type]
 
@@ -273,7 +273,8 @@ def test_compare_writes_the_difference_as_numbers(command: Command) -> None:
         (("compare", "a.exr", "b.exr", "-o", "no/d.png"), "its folder 'no' does not exist"),
         (("merge", "a.exr", "-o", "x.exr"), "there is one image: merging takes two or more"),
         (("merge", "a.exr", "a.exr", "-o", "x.exr"), "a.exr and a.exr both hold seed 1"),
-        (("merge", "a.exr", "b.exr", "-o", "x.png"), "output is 'x.png': it must be a file name"),
+        (("merge", "a.exr", "b.exr", "-o", "x.jpg"), "output is 'x.jpg': it must be a file name"),
+        (("merge", "-o", "x.exr"), "there are no images: merging takes two or more"),
     ],
 )
 def test_errors_are_one_sentence(
@@ -291,4 +292,4 @@ def test_channels_are_named_where_colour_is_missing(tmp_path: Path) -> None:
     path = tmp_path / "grey.exr"
     OpenEXR.File({}, {"Y": np.ones((2, 2), np.float32)}).write(str(path))
     with pytest.raises(ValueError, match=r"has no channels R, G and B \(but Y\)"):
-        output.read(path)
+        read(path)

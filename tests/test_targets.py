@@ -85,11 +85,11 @@ def test_a_firefly_counts_for_one_pixel() -> None:
     assert noise.bound > 1.5 * noise.error  # and makes the stop more cautious
 
 
-def test_images_without_noise_and_without_light_have_no_error() -> None:
+def test_images_without_noise_have_no_error_and_those_without_light_an_unknown_one() -> None:
     ones = np.ones((3, 4, 3))
     assert Noise.between(ones, 0 * ones, 8) == Noise(0.0, 0.0)
-    assert Noise.between(0 * ones, 0 * ones, 8) == Noise(0.0, 0.0)
-    assert math.isnan(Noise.between(ones, np.nan * ones, 1).bound)
+    for unknown in (Noise.between(ones, np.nan * ones, 1), Noise.between(0 * ones, 0 * ones, 8)):
+        assert math.isnan(unknown.error) and math.isnan(unknown.bound)
 
 
 # --------------------------------------------------------------------- when a run stops
@@ -203,6 +203,22 @@ def test_the_first_target_stops(monkeypatch: pytest.MonkeyPatch) -> None:
     done = run(Targets(passes=50, time=20), noisy)
     assert (done.stopped, done.moments.passes, done.seconds) == ("time", 6, 18.0)  # 7 would be late
     assert run(Targets(time=0.1), noisy).moments.passes == 1
+
+
+def test_an_image_without_light_reaches_no_error() -> None:
+    black = [np.zeros((4, 4, 3))] * 99
+    assert run(Targets(passes=70, error=0.5), black).stopped == "spp"
+    with pytest.raises(ValueError, match=r"error is 0\.5, .* after 64 passes the image is black"):
+        run(Targets(error=0.5), black)
+    for dark in (50, 63):  # light at last, once before a look and once after the last
+        late = black[:dark] + [np.ones((4, 4, 3))] * 30
+        assert run(Targets(error=0.01), late).stopped is None
+    assert run(Targets(error=0.5), [np.ones((4, 4, 3))] * 9).stopped == "error"
+
+
+def test_an_image_without_numbers_reaches_no_error() -> None:
+    with pytest.raises(ValueError, match=r"error is 0\.5, .* after 64 passes no pixel is a finite"):
+        run(Targets(error=0.5), [np.full((4, 4, 3), np.nan)] * 99)
 
 
 def test_progress_foretells_the_end(monkeypatch: pytest.MonkeyPatch) -> None:

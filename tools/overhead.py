@@ -20,7 +20,7 @@ import mitsuba as mi
 import numpy as np
 
 import nonexp
-from nonexp.scene import load as scenefile
+from nonexp.scene.load import load
 from nonexp.system import machine
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -33,7 +33,7 @@ def main(
     spp, pairs = int(spp), int(pairs)
     mi.set_variant(machine.check_variant(None))
     mi.set_log_level(mi.LogLevel.Error)
-    scene = scenefile.load(Path(path), {}, None).scene
+    scene = load(Path(path), {}, None).scene
     with tempfile.TemporaryDirectory() as folder, dr.scoped_set_flag(dr.JitFlag.KernelHistory):
         checkpoint = Path(folder) / "checkpoint"
 

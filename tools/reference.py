@@ -1,4 +1,4 @@
-"""Write the reference pages of docs/ from the docstrings and from the command line's parser.
+"""Write the reference pages of docs/ from the docstrings and from the help of the command line.
 
 .venv/bin/python tools/reference.py           docs/models.md, plugins.md, python.md, cli.md
 
@@ -7,7 +7,6 @@ The test suite fails when a page is not what this would write.
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import importlib
 import inspect
@@ -18,12 +17,14 @@ from pathlib import Path
 from typing import Any
 
 import mitsuba as mi
+from cyclopts import App
+from cyclopts.argument import Argument
 from docstrings import field_docs, inline, manual
 
 import nonexp
-from nonexp import cli, fitting, models, parameters, rendering
+from nonexp import fitting, images, models, parameters, rendering
+from nonexp.cli import app as command_line
 from nonexp.fitting import plot as plotting
-from nonexp.images import exr as output
 from nonexp.plugins import registration
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
@@ -167,7 +168,7 @@ DOCUMENTED: dict[str, tuple[Any, tuple[str, ...]]] = {
     "nonexp.fitting": (fitting, ("Fit", "compare", "read_table")),
     "nonexp.parameters": (parameters, ("whole", "vector", "text", "function", "components")),
     "nonexp.rendering": (rendering, ("plan", "planned", "render_passes")),
-    "nonexp.images.exr": (output, ("tone_map",)),
+    "nonexp.images": (images, ("read", "tone_map", "write")),
     "nonexp.fitting.plot": (plotting, ("plot_model", "plot_fit")),
 }
 
@@ -234,52 +235,34 @@ command."""
 
 
 def cli_page() -> str:
-    parser = cli._parser()
-    pages = [CLI, fence("text", (parser.epilog or "").strip())]
-    pages += _commands(parser, "nonexp")
+    pages = [CLI, fence("text", command_line.EXAMPLES.strip())]
+    for command in command_line.COMMANDS:
+        pages += _command(command_line.app()[command], f"nonexp {command}")
     return "\n\n".join(pages) + "\n"
 
 
-def _commands(parser: argparse.ArgumentParser, name: str) -> Iterator[str]:
-    for action in parser._actions:
-        if isinstance(action, argparse._SubParsersAction):
-            for command, below in action.choices.items():
-                yield from _command(below, f"{name} {command}")
-                yield from _commands(below, f"{name} {command}")
-
-
-def _command(parser: argparse.ArgumentParser, name: str) -> Iterator[str]:
+def _command(command: App, name: str) -> Iterator[str]:
     yield f"## {name}"
-    yield inline(parser.description or "")
-    rows = []
-    for action in parser._actions:
-        if isinstance(action, (argparse._HelpAction, argparse._SubParsersAction)):
-            continue
-        if action.help == argparse.SUPPRESS:
-            continue
-        rows.append((f"`{_usage(action)}`", _plain((action.help or "") % _given(action))))
-    if rows:
+    yield inline(inspect.cleandoc(command.help.partition("Args:")[0]))
+    arguments = command.assemble_argument_collection(parse_docstring=True)
+    if rows := [(f"`{_usage(one)}`", _plain(one.parameter.help or "")) for one in arguments]:
         yield table(("argument", "meaning"), rows)
-    if parser.epilog:
-        yield fence("text", parser.epilog.strip())
 
 
-def _usage(action: argparse.Action) -> str:
-    choices = [str(choice) for choice in action.choices or ()]
-    value = action.metavar or ("{" + ",".join(choices) + "}" if choices else action.dest.upper())
-    value = " ".join(value) if isinstance(value, tuple) else value
-    if not action.option_strings:
-        return f"[{value} ...]" if action.nargs in ("*", "+") else value
-    flags = ", ".join(action.option_strings)
-    return flags if action.nargs == 0 else f"{flags} {value}"
-
-
-def _given(action: argparse.Action) -> dict[str, Any]:
-    return {"default": action.default, "metavar": action.metavar, "dest": action.dest}
+def _usage(argument: Argument) -> str:
+    value = argument.parameter.metavar or argument.name
+    kind = argument.field_info.kind
+    if kind is inspect.Parameter.VAR_POSITIONAL:
+        return f"[{value} ...]"
+    if kind is inspect.Parameter.POSITIONAL_ONLY:
+        return value
+    flags = [name for name in argument.names if not name.startswith(("--no-", "--empty-"))]
+    flag = ", ".join(sorted(flags, key=len))
+    return flag if argument.hint is bool else f"{flag} {value}"
 
 
 def _plain(text: str) -> str:
-    return inline(text).replace("<", "&lt;")
+    return inline(" ".join(text.split())).replace("<", "&lt;")
 
 
 # ------------------------------------------------------------------------------------------- pages

@@ -19,7 +19,7 @@ import mitsuba as mi
 import numpy as np
 import OpenEXR
 
-from ..images.moments import Accumulator, Array
+from ..images.moments import Array, Moments
 from ..rendering.passes import pass_seed
 from ..system.files import replacing
 from ..system.version import __version__
@@ -94,14 +94,14 @@ def rebuild(
         plain = competitor.filling(case)
         filling = Filling(plain.law, plain.properties, channel)
         scene = case.scene.build(filling, case.scene.size)
-        total = Accumulator()
+        total = Moments()
         share, started = seconds / len(channels), time.perf_counter()
         while total.passes < 8 or time.perf_counter() - started < share:
             image = competitor.integrator(case.scene).render(
                 scene, seed=pass_seed(seed + number, total.passes), spp=case.scene.spp
             )
             rgb: Array = np.array(image, dtype=np.float64)[:, :, :3]
-            total.add(np.concatenate([rgb, rgb.mean(axis=2, keepdims=True)], axis=2))
+            total = total.plus(np.concatenate([rgb, rgb.mean(axis=2, keepdims=True)], axis=2))
             done = min((time.perf_counter() - started) / share, 1.0)
             on_pass((number + done) / len(channels))
         totals.append(total)
@@ -127,7 +127,7 @@ def rebuild(
     return reference
 
 
-def _combine(totals: list[Accumulator]) -> Reference:
+def _combine(totals: list[Moments]) -> Reference:
     """One render of four planes (R, G, B, mean), or three of one channel each."""
     if len(totals) == 1:
         mean, stderr = totals[0].mean, totals[0].stderr

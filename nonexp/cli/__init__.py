@@ -1,5 +1,5 @@
 """The command ``nonexp``: one module for each of its commands."""
 
-from .main import COMMANDS, _parser, main
+from .app import COMMANDS, main, parse
 
-__all__ = ["COMMANDS", "_parser", "main"]
+__all__ = ["COMMANDS", "main", "parse"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import shlex
 import sys
@@ -11,118 +10,90 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated
 
-from ..system.terminal import note, stdout, table
-from .arguments import UserError, duration, one_sentence, whole
+import mitsuba as mi
+from cyclopts import Group, Parameter
+
+from ..rendering.targets import seconds
+from ..system.files import check_writable
+from ..system.machine import check_variant
+from ..system.terminal import note, show, table
+from .arguments import UserError, Variant, argument, one_sentence, only_one, whole
 
 if TYPE_CHECKING:
     from ..bench.results import Results
     from ..bench.scenes import Case
 
-__all__ = ["add"]
+__all__ = ["bench"]
 
-
-def add(commands: Any) -> None:
-    """Add the command to those of the parser."""
-    bench = commands.add_parser(
-        "bench",
-        help="measure run time against error, beside Mitsuba's integrators",
-        description="Measure run time against error of nonexp_volpath and of Mitsuba's integrators "
-        "on a set of scenes, and write results.json, results.md and plots. A full run takes a "
-        "quarter of an hour on 2 idle cores. Exit code 1 says that --compare found something "
-        "worse.",
-    )
-    bench.add_argument("--quick", action="store_true", help="3 minutes: fewer competitors, passes")
-    bench.add_argument(
-        "--scenes",
-        type=_names,
-        default=(),
-        metavar="A,B",
-        help="only these scenes (fog_sphere), or scenes with their law (fog_sphere-gamma)",
-    )
-    bench.add_argument(
-        "--out",
-        type=Path,
-        default=Path("out/benchmarks"),
-        metavar="DIR",
-        help="folder for the results (default: out/benchmarks)",
-    )
-    bench.add_argument("--seed", type=whole(0), default=0, metavar="S", help="default: 0")
-    bench.add_argument("--variant", metavar="V", help="Mitsuba variant (default: the fastest)")
-    bench.add_argument(
-        "--references",
-        type=Path,
-        metavar="DIR",
-        help="folder of the references (default: benchmarks/references of the source tree)",
-    )
-    what = bench.add_mutually_exclusive_group()
-    what.add_argument("--list", action="store_true", help="list scenes and competitors, and end")
-    what.add_argument(
-        "--compare",
-        nargs="+",
-        type=Path,
-        metavar="JSON",
-        help="print what changed beyond the noise: from OLD.json to a run made now, or from "
-        "OLD.json to NEW.json",
-    )
-    what.add_argument(
-        "--scaling",
-        action="store_true",
-        help="measure how time and memory grow with samples, pixels, media, depth, thickness",
-    )
-    what.add_argument(
-        "--rebuild-references", action="store_true", help="render the references anew, and end"
-    )
-    bench.add_argument(
-        "--time",
-        type=duration,
-        default=300.0,
-        metavar="T",
-        help="time per reference, as in 10m (default: 5m; the dragon gets three times as much)",
-    )
-    bench.set_defaults(run=_bench)
+WHAT = Group("Other work, one at a time", validator=only_one)
 
 
 def _names(text: str) -> tuple[str, ...]:
     return tuple(name.strip() for name in text.split(",") if name.strip())
 
 
-def _bench(options: argparse.Namespace) -> int:
-    import mitsuba as mi
+def bench(
+    *,
+    quick: bool = False,
+    scenes: Annotated[tuple[str, ...], argument("A,B", _names)] = (),
+    out: Annotated[Path, argument("DIR")] = Path("out/benchmarks"),
+    seed: Annotated[int, argument("S", whole(0))] = 0,
+    variant: Variant = None,
+    references: Annotated[Path | None, argument("DIR")] = None,
+    list_: Annotated[bool, Parameter("--list", group=WHAT)] = False,
+    compare: Annotated[tuple[Path, ...], argument("JSON", group=WHAT, consume_multiple=True)] = (),
+    scaling: Annotated[bool, Parameter(group=WHAT)] = False,
+    rebuild_references: Annotated[bool, Parameter(group=WHAT)] = False,
+    time: Annotated[float, argument("T", seconds)] = 300.0,
+) -> int:
+    """Measure run time against error, beside Mitsuba's integrators.
 
-    from ..bench import references
+    Measures run time against error of nonexp_volpath and of Mitsuba's integrators on a set of
+    scenes, and writes results.json, results.md and plots. A full run takes a quarter of an hour on
+    2 idle cores. Exit code 1 says that --compare found something worse.
+
+    Args:
+        quick: 3 minutes: fewer competitors, passes
+        scenes: only these scenes (fog_sphere), or scenes with their law (fog_sphere-gamma)
+        out: folder for the results (default: out/benchmarks)
+        seed: default: 0
+        references: folder of the references (default: benchmarks/references of the source tree)
+        list_: list scenes and competitors, and end
+        compare: print what changed beyond the noise: from OLD.json to a run made now, or from
+            OLD.json to NEW.json
+        scaling: measure how time and memory grow with samples, pixels, media, depth, thickness
+        rebuild_references: render the references anew, and end
+        time: time per reference, as in 10m (default: 5m; the dragon gets three times as much)
+    """
+    from ..bench.references import default_folder
+    from ..bench.results import Results
     from ..bench.scenes import cases
-    from ..system import machine
 
-    if options.compare and len(options.compare) > 2:
-        raise UserError(f"--compare got {len(options.compare)} files: it takes one or two")
+    if len(compare) > 2:
+        raise UserError(f"--compare got {len(compare)} files: it takes one or two")
     with one_sentence():
-        chosen = cases(options.scenes)
-        if options.compare:
-            old = _read(options.compare[0])
-            if len(options.compare) == 2:
-                return _show_changes(old, _read(options.compare[1]))
-        mi.set_variant(machine.check_variant(options.variant))
+        chosen = cases(scenes)
+        old = [Results.read(path) for path in compare]
+        if len(old) == 2:
+            return _show_changes(old[0], old[1])
+        mi.set_variant(check_variant(variant))
         mi.set_log_level(mi.LogLevel.Error)
-        folder = options.references or references.default_folder()
-        if options.list:
+        folder = references or default_folder()
+        if list_:
             return _list(chosen)
-        if options.rebuild_references:
-            return _rebuild(chosen, folder, options.time)
+        if rebuild_references:
+            return _rebuild(chosen, folder, time)
         _warn_if_busy()
-        _check_out(options.out)
-        if options.scaling:
-            return _scaling(options)
-        done = _measure(chosen, folder, options)
-        if options.compare:
-            return _show_changes(old, done)
-    return 0
+        _check_out(out)
+        if scaling:
+            return _scaling(out, seed, quick)
+        done = _measure(chosen, folder, out, seed, quick)
+        return _show_changes(old[0], done) if old else 0
 
 
-def _measure(chosen: list[Case], folder: Path, options: argparse.Namespace) -> Results:
-    import mitsuba as mi
-
+def _measure(chosen: list[Case], folder: Path, out: Path, seed: int, quick: bool) -> Results:
     from ..bench import report, run
 
     started = time.perf_counter()
@@ -130,33 +101,31 @@ def _measure(chosen: list[Case], folder: Path, options: argparse.Namespace) -> R
         done = run.run(
             chosen,
             folder,
-            quick=options.quick,
+            quick=quick,
             variant=mi.variant() or "",
-            seed=options.seed,
+            seed=seed,
             on_pass=show,
         )
     for text in done.skipped:
         note(f"skipped: {text}")
     print("\n".join(report.summary(done)))
     print()
-    for path in run.write(done, options.out):
+    for path in run.write(done, out):
         print(path)
     note(f"{time.perf_counter() - started:.0f} s")
     return done
 
 
-def _scaling(options: argparse.Namespace) -> int:
-    import mitsuba as mi
-
+def _scaling(out: Path, seed: int, quick: bool) -> int:
     from ..bench import results, scaling
 
     variant = mi.variant() or ""
     with _progress() as show:
-        samples = scaling.run(variant=variant, quick=options.quick, on_sample=show)
+        samples = scaling.run(variant=variant, quick=quick, on_sample=show)
     print("\n".join(scaling.sentences(samples)))
     print()
-    about = results.environment(variant, options.seed, options.quick)
-    for path in scaling.write(samples, about, options.out):
+    about = results.environment(variant, seed, quick)
+    for path in scaling.write(samples, about, out):
         print(path)
     return 0
 
@@ -164,12 +133,11 @@ def _scaling(options: argparse.Namespace) -> int:
 def _list(chosen: list[Case]) -> int:
     from ..bench.competitors import competing
 
-    console = stdout()
-    rows = table(console, "case", "scene", "competitors")
+    rows = table("case", "scene", "competitors")
     for case in chosen:
         names = ", ".join(competitor.name for competitor in competing(case))
         rows.add_row(case.name, case.scene.text, names)
-    console.print(rows)
+    show(rows)
     return 0
 
 
@@ -185,7 +153,7 @@ def _rebuild(chosen: list[Case], folder: Path, seconds: float) -> int:
         command = shlex.join([*words, "--time", f"{seconds:g}s"])
         with _progress() as show:
             made = references.rebuild(
-                case, folder, share, command=command, on_pass=partial(_tell, show, case.name)
+                case, folder, share, command=command, on_pass=partial(_show_share, show, case.name)
             )
         size = references.path(case, folder).stat().st_size
         print(
@@ -195,7 +163,7 @@ def _rebuild(chosen: list[Case], folder: Path, seconds: float) -> int:
     return 0
 
 
-def _tell(show: Callable[[str], None], name: str, done: float) -> None:
+def _show_share(show: Callable[[str], None], name: str, done: float) -> None:
     show(f"{name}: {done:.0%}")
 
 
@@ -210,8 +178,7 @@ def _show_changes(old: Results, new: Results) -> int:
     if not found:
         print("nothing changed beyond the noise")
         return 0
-    console = stdout()
-    rows = table(console, "case", "competitor", "what", "old", "new", "new / old", "")
+    rows = table("case", "competitor", "what", "old", "new", "new / old", "")
     for change in found:
         ratio = change.ratio
         shown = f"{ratio.value:.3f} ({ratio.low:.3f} to {ratio.high:.3f})" if ratio else ""
@@ -219,23 +186,15 @@ def _show_changes(old: Results, new: Results) -> int:
         rows.add_row(
             change.case, change.competitor, change.what, change.old, change.new, shown, verdict
         )
-    console.print(rows)
+    show(rows)
     return 1 if any(not change.better for change in found) else 0
 
 
 # --------------------------------------------------------------------- small things
 
 
-def _read(path: Path) -> Results:
-    from ..bench.results import Results
-
-    return Results.read(path)
-
-
 def _check_out(folder: Path) -> None:
-    """Before an hour of work: the folder can be made and written to."""
-    from ..system.files import check_writable
-
+    """Make the folder, and raise ``OSError`` if it cannot be written to."""
     if folder.exists() and not folder.is_dir():
         raise OSError(f"--out is {str(folder)!r}: it must be a folder")
     folder.mkdir(parents=True, exist_ok=True)
@@ -249,7 +208,7 @@ def _warn_if_busy() -> None:
 
 @contextmanager
 def _progress() -> Iterator[Callable[[str], None]]:
-    """Shows what is being done, on a terminal."""
+    """Show the work in progress, on a terminal."""
     from rich.console import Console
 
     console = Console(stderr=True)

@@ -2,61 +2,60 @@
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated
 
-from ..system.terminal import stdout, table
-from .arguments import one_sentence
+import mitsuba as mi
+import numpy as np
+
+from ..images.exr import Picture, read, write_exr
+from ..images.merge import seeds
+from ..images.png import write_png
+from ..system.files import check_writable, replacing
+from ..system.machine import check_variant
+from ..system.terminal import show, table
+from .arguments import argument, one_sentence
 
 if TYPE_CHECKING:
     from ..images.compare import Comparison
-    from ..images.exr import Picture
 
-__all__ = ["add"]
-
-
-def add(commands: Any) -> None:
-    """Add the command to those of the parser."""
-    compare = commands.add_parser(
-        "compare",
-        help="tell whether two images differ by more than noise",
-        description="Compare image A with image B, the reference: errors, and a test of blocks of "
-        "pixels against the standard errors in both files. The exit code is 0 if they differ by "
-        "noise alone, or there is no noise to compare with, and 1 if they differ by more.",
-    )
-    compare.add_argument("a", type=Path, metavar="A.exr")
-    compare.add_argument("b", type=Path, metavar="B.exr")
-    compare.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        metavar="DIFF.png",
-        help="the difference A - B as a picture (PNG: red where A is brighter, blue where B is) "
-        "or as numbers (EXR, with its standard error)",
-    )
-    compare.set_defaults(run=_compare)
+__all__ = ["compare"]
 
 
-def _compare(options: argparse.Namespace) -> int:
-    from ..images import compare as comparing
-    from ..images import exr as output
+def compare(
+    a: Annotated[Path, argument("A.exr")],
+    b: Annotated[Path, argument("B.exr")],
+    /,
+    *,
+    output: Annotated[Path | None, argument("DIFF.png", None, "--output", "-o")] = None,
+) -> int:
+    """Tell whether two images differ by more than noise.
 
-    path: Path | None = options.output
+    Compares image A with image B, the reference: errors, and a test of blocks of pixels against the
+    standard errors in both files. The exit code is 0 if they differ by noise alone, or there is no
+    noise to compare with, and 1 if they differ by more.
+
+    Args:
+        output: the difference A - B as a picture (PNG: red where A is brighter, blue where B is) or
+            as numbers (EXR, with its standard error)
+    """
+    from ..images.compare import compare as compared  # scipy.stats takes a while
+
     with one_sentence():
-        if path is not None:
-            _check(path)
-        a, b = output.read(options.a), output.read(options.b)
-        found = comparing.compare(a, b)
-        scale = _write(path, a, b) if path is not None else None
-    console = stdout()
-    rows = table(console, "A against B", "value", numbers=True)
+        if output is not None:
+            if output.suffix.lower() not in (".png", ".exr"):
+                raise ValueError(f"output is {str(output)!r}: it must end in .png or .exr")
+            check_writable(output)
+        first, second = read(a), read(b)
+        found = compared(first, second)
+        scale = None if output is None else _write(output, first, second)
+    rows = table("A against B", "value", numbers=True)
     for name, value in _rows(found):
         rows.add_row(name, value)
-    console.print(rows)
-    print(_verdict(found, a, b))
-    if path is not None:
-        print(path if scale is None else f"{path}: full colour is a difference of {scale:.3g}")
+    show(rows)
+    print(_verdict(found, first, second))
+    if output is not None:
+        print(output if scale is None else f"{output}: full colour is a difference of {scale:.3g}")
     return 1 if found.test is not None and not found.test.same else 0
 
 
@@ -92,44 +91,28 @@ def _verdict(found: Comparison, a: Picture, b: Picture) -> str:
 
 
 def _doubts(a: Picture, b: Picture) -> list[str]:
-    """What the test presumes, and is not so."""
-    from ..images import merge as merging
-
+    """Assumptions of the test that do not hold."""
     doubts = []
     filters = {p.metadata.get("filter", "BoxFilter") for p in (a, b)} - {"BoxFilter"}
     if filters:
         doubts.append(f"the {filters.pop()} correlates neighbouring pixels")
-    if shared := set(merging.seeds(a)) & set(merging.seeds(b)):
+    if shared := set(seeds(a)) & set(seeds(b)):
         doubts.append(f"both images hold seed {min(shared)}")
     return doubts
 
 
-def _check(path: Path) -> None:
-    from ..system.files import check_writable
-
-    if path.suffix.lower() not in (".png", ".exr"):
-        raise ValueError(f"output is {str(path)!r}: it must end in .png or .exr")
-    check_writable(path)
-
-
 def _write(path: Path, a: Picture, b: Picture) -> float | None:
     """Write the difference; returns what full colour means."""
-    import mitsuba as mi
-    import numpy as np
-
-    from ..images import compare as comparing
-    from ..images import exr as output
-    from ..system import machine
-    from ..system.files import replacing
+    from ..images.compare import picture
 
     with replacing(path) as (aside,):
         if path.suffix.lower() == ".exr":
             layers = {"": a.mean - b.mean}
             if a.stderr is not None and b.stderr is not None:
                 layers["stderr."] = np.hypot(a.stderr, b.stderr)
-            output.write_exr(aside, layers, {"difference": f"{a.path} - {b.path}"})
+            write_exr(aside, layers, {"difference": f"{a.path} - {b.path}"})
             return None
-        mi.set_variant(machine.check_variant(None))
-        colours, scale = comparing.picture(a, b)
-        output.write_png(aside, colours)
+        mi.set_variant(check_variant(None))  # which the PNG is written by
+        colours, scale = picture(a, b)
+        write_png(aside, colours)
     return scale

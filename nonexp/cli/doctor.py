@@ -2,29 +2,17 @@
 
 from __future__ import annotations
 
-import argparse
 import platform
 from importlib import metadata
-from typing import Any
 
+from ..system import machine
 from ..system.version import __version__
 
-__all__ = ["add"]
+__all__ = ["doctor"]
 
 
-def add(commands: Any) -> None:
-    """Add the command to those of the parser."""
-    doctor = commands.add_parser(
-        "doctor",
-        help="check whether this machine can render",
-        description="Say whether this machine can render, and what to do if it cannot.",
-    )
-    doctor.set_defaults(run=_doctor)
-
-
-def _doctor(_options: argparse.Namespace) -> int:
-    from ..system import machine
-
+def doctor() -> int:
+    """Check whether this machine can render, and say what to do if it cannot."""
     report = machine.inspect()
     versions = ", ".join(f"{name} {metadata.version(name)}" for name in ("mitsuba", "drjit"))
     llvm = ".".join(map(str, report.llvm_version)) if report.llvm_version else "none"

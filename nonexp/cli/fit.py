@@ -2,65 +2,23 @@
 
 from __future__ import annotations
 
-import argparse
 import math
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from ..system.terminal import stdout, table
-from .arguments import definition, one_sentence
+from .. import fitting
+from ..fitting.fit import Fit
+from ..fitting.problem import kinds_of
+from ..models import names as all_models
+from ..system.terminal import show, stdout, table
+from .arguments import Pairs, argument, definition, one_sentence
 from .plot import values
 
 if TYPE_CHECKING:
-    from rich.console import Console
     from rich.table import Table
 
-    from ..fitting.fit import Fit
-
-__all__ = ["add"]
-
-
-def add(commands: Any) -> None:
-    """Add the command to those of the parser."""
-    fit = commands.add_parser(
-        "fit",
-        help="fit models to a measured transmittance",
-        description="Fit the parameters of a model to a transmittance over distance, by least "
-        "squares, and print what a scene's medium needs. DATA is a table with the columns "
-        "distance (or optical depth), transmittance and, if known, its standard deviation, as "
-        "text or as NPZ with arrays tau, ff and sigma. Several models are compared by AIC, "
-        "Akaike's information criterion: the one with the least is the best.",
-    )
-    fit.add_argument("data", type=Path, metavar="DATA.csv", help="table: distance, ff [, sigma]")
-    fit.add_argument(
-        "--model",
-        dest="models",
-        action="append",
-        metavar="MODEL",
-        help="may be repeated; all (the default) tries every model",
-    )
-    for flag, does in (("--fix", "hold a parameter there"), ("--start", "start the search there")):
-        fit.add_argument(
-            flag,
-            type=definition("alpha=0.5"),
-            action="append",
-            default=[],
-            metavar="key=value",
-            help=f"{does}, as in alpha=0.5; may be repeated",
-        )
-    fit.add_argument(
-        "--sigma-t",
-        type=_sigma_t,
-        default="auto",
-        metavar="VALUE",
-        help="extinction that turns distance into optical depth: a number, fit, or auto (default: "
-        "fitted, but 1 for models whose parameters are lengths or extinctions themselves)",
-    )
-    fit.add_argument(
-        "-o", "--output", type=Path, metavar="OUT.png", help="also draw data, fits and residuals"
-    )
-    fit.set_defaults(run=_run)
+__all__ = ["fit"]
 
 
 def _sigma_t(text: str) -> float | str:
@@ -71,94 +29,115 @@ def _sigma_t(text: str) -> float | str:
     except ValueError:
         value = -1
     if not 0 < value < math.inf:
-        raise argparse.ArgumentTypeError(f"is {text!r}: it must be a number > 0, fit, or auto")
+        raise ValueError(f"is {text!r}: it must be a number > 0, fit, or auto")
     return value
 
 
-def _run(options: argparse.Namespace) -> int:
+_PAIR = argument("key=value", definition("alpha=0.5"), many=True)
+
+
+def fit(
+    data: Annotated[Path, argument("DATA.csv")],
+    /,
+    *,
+    model: Annotated[tuple[str, ...], argument("MODEL", str, many=True)] = (),
+    fix: Annotated[Pairs, _PAIR] = (),
+    start: Annotated[Pairs, _PAIR] = (),
+    sigma_t: Annotated[float | str, argument("VALUE", _sigma_t)] = "auto",
+    output: Annotated[Path | None, argument("OUT.png", None, "--output", "-o")] = None,
+) -> None:
+    """Fit models to a measured transmittance.
+
+    Fits the parameters of a model to a transmittance over distance, by least squares, and prints
+    what a scene's medium needs. DATA is a table with the columns distance (or optical depth),
+    transmittance and, if known, its standard deviation, as text or as NPZ with arrays tau, ff and
+    sigma. Several models are compared by AIC, Akaike's information criterion: the one with the
+    least is the best.
+
+    Args:
+        data: table: distance, ff [, sigma]
+        model: may be repeated; all (the default) tries every model
+        fix: hold a parameter there, as in alpha=0.5; may be repeated
+        start: start the search there, as in alpha=0.5; may be repeated
+        sigma_t: extinction that turns distance into optical depth: a number, fit, or auto (default:
+            fitted, but 1 for models whose parameters are lengths or extinctions themselves)
+        output: also draw data, fits and residuals
+    """
     with one_sentence():
-        _fit(options, stdout())
-    return 0
+        _fit(data, model, values(fix), values(start), sigma_t, output)
 
 
-def _fit(options: argparse.Namespace, console: Console) -> None:
+def _fit(
+    data: Path,
+    models: tuple[str, ...],
+    fixed: dict[str, Any],
+    start: dict[str, Any],
+    sigma_t: float | str,
+    output: Path | None,
+) -> None:
     """Fit one model, or several and compare them; print the results."""
-    from rich.text import Text
-
-    from .. import fitting, models
     from ..fitting import plot as plotting
 
-    if options.output is not None:
+    if output is not None:
         plotting.require()
-        plotting.check_path(options.output)
-    tau, ff, sigma = fitting.read_table(options.data)
-    every = not options.models or "all" in options.models
-    names = models.names() if every else list(dict.fromkeys(options.models))
-    given = {
-        "start": values(options.start),
-        "fixed": values(options.fix),
-        "sigma_t": options.sigma_t,
-        "sigma": sigma,
-    }
+        plotting.check_path(output)
+    tau, ff, sigma = fitting.read_table(data)
+    every = not models or "all" in models
+    names = all_models() if every else list(dict.fromkeys(models))
+    given: dict[str, Any] = {"start": start, "fixed": fixed, "sigma_t": sigma_t, "sigma": sigma}
     refused: dict[str, str] = {}
-    with console.status("fitting ..."):
+    with stdout().status("fitting ..."):
         if len(names) == 1:
             fits = [fitting.fit(names[0], tau, ff, **given)]
         else:
-            _check_known(names, {**given["start"], **given["fixed"]})
+            _check_known(names, {**start, **fixed})
             fits, refused = fitting.compare(names, tau, ff, **given)
         if refused and (not every or not fits):
             raise ValueError("; ".join(f"{name}: {why}" for name, why in refused.items()))
-    if options.output is not None:
-        plotting.save(plotting.plot_fit(fits, tau, ff, sigma), options.output)
+    if output is not None:
+        plotting.save(plotting.plot_fit(fits, tau, ff, sigma), output)
     if len(names) > 1:
-        console.print(_comparison(fits, console))
+        show(_comparison(fits))
         for name, why in refused.items():
-            console.print(Text(f"not fitted: {name} ({why})"), style="dim")
-        console.print()
-    _show(fits[0], sigma is not None, console)
-    if options.output is not None:
-        console.print(Text(f"\n{options.output}"))
+            show(f"not fitted: {name} ({why})", style="dim")
+        print()
+    _show(fits[0], sigma is not None)
+    if output is not None:
+        print(f"\n{output}")
 
 
 def _check_known(names: Iterable[str], given: Iterable[str]) -> None:
-    """Not every model must have each parameter, but one at least."""
-    from ..fitting.problem import kinds_of
-
+    """Raise ``ValueError`` for a parameter that none of the models has."""
     known = {key for name in names for key in kinds_of(name)}
     for parameter in given:
         if parameter not in known:
             raise ValueError(f"none of the models to fit has a parameter {parameter!r}")
 
 
-def _comparison(fits: list[Fit], console: Console) -> Table:
-    from rich.text import Text
-
+def _comparison(fits: list[Fit]) -> Table:
     columns = ("model", "parameters", "sigma_t", "rms residual", "AIC - best")
-    found = table(console, *columns, numbers=True)
+    found = table(*columns, numbers=True)
     for result in fits:
         rows = {name: (value, error) for name, value, error in result.rows()}
         sigma_t, _ = rows.pop("sigma_t")
         rows.pop("extinction", None)
         shown = ", ".join(f"{name} = {value}" for name, (value, _) in rows.items())
-        cells = (result.name, shown, sigma_t, f"{result.residual:.3g}")
-        found.add_row(*map(Text, cells), f"{result.aic - fits[0].aic:.1f}")
-    found.columns[1].justify = "left"
+        aic = f"{result.aic - fits[0].aic:.1f}"
+        found.add_row(result.name, shown, sigma_t, f"{result.residual:.3g}", aic)
+    found.columns[1].justify, found.columns[1].no_wrap = "left", False
     return found
 
 
-def _show(result: Fit, weighted: bool, console: Console) -> None:
-    from rich.text import Text
-
-    rows = table(console, result.name, "value", "standard error", numbers=True)
+def _show(result: Fit, weighted: bool) -> None:
+    rows = table(result.name, "value", "standard error", numbers=True)
     for row in result.rows():
-        rows.add_row(*map(Text, row))
-    console.print(rows)
+        rows.add_row(*row)
+    show(rows)
     for line in result.notes:
-        console.print(Text(line))
+        show(line)
     goodness = f"rms residual {result.residual:.3g} over {result.points} points"
     if weighted:
         goodness += f", chi2 {result.chi2:.4g} with {result.freedom} degrees of freedom"
-    console.print(Text(goodness), style="dim")
-    console.print(Text("\nFor the medium of a scene in the same unit of length:"), style="dim")
-    console.print(Text(result.to_xml()), soft_wrap=True)
+    show(goodness, style="dim")
+    show("\nFor the medium of a scene in the same unit of length:", style="dim")
+    show(result.to_xml())

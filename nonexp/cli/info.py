@@ -2,41 +2,26 @@
 
 from __future__ import annotations
 
-import argparse
 import importlib
-from typing import Any
 
-from ..system.terminal import stdout, table
-from .arguments import add_scene, load, one_sentence
+from ..system.terminal import show, table
+from .arguments import Definitions, Scene, Variant, load, one_sentence
 
-__all__ = ["add"]
-
-
-def add(commands: Any) -> None:
-    """Add the command to those of the parser."""
-    info = commands.add_parser(
-        "info",
-        help="tell what a scene needs, and what its kernel leaves out",
-        description="Show what the integrator nonexp_volpath finds in a scene, and what it "
-        "therefore skips.",
-    )
-    add_scene(info)
-    info.set_defaults(run=_info)
+__all__ = ["info"]
 
 
-def _info(options: argparse.Namespace) -> int:
-    from rich.text import Text
+def info(scene: Scene, /, *, variant: Variant = None, parameters: Definitions = ()) -> None:
+    """Tell what a scene needs, and what its kernel leaves out.
 
-    loaded = load(options)
+    Shows what the integrator nonexp_volpath finds in a scene, and what it therefore skips.
+    """
+    loaded = load(scene, variant, parameters)
     report = importlib.import_module("nonexp.integrators.report")
     with one_sentence():
         findings = report.findings(loaded.scene)
-    console = stdout()
-    rows = table(console, "in the scene", "found", "in the kernel", lines=True)
+    rows = table("in the scene", "found", "in the kernel", lines=True)
     for finding in findings:
-        row = (finding.question, finding.answer, finding.consequence)
-        rows.add_row(*(Text(cell) for cell in row))
-    console.print(rows)
+        rows.add_row(finding.question, finding.answer, finding.consequence)
+    show(rows)
     if not any(name.startswith("nonexp_") for name in loaded.integrators):
         print(f"The scene's own integrator is {', '.join(loaded.integrators) or 'none'}.")
-    return 0

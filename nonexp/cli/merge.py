@@ -2,43 +2,36 @@
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
-from typing import Any
+from typing import Annotated
 
-from .arguments import one_sentence
+import mitsuba as mi
 
-__all__ = ["add"]
+from ..images import merge as merging
+from ..images.exr import exr_path, read, write
+from ..system.files import check_writable
+from ..system.machine import check_variant
+from .arguments import argument, one_sentence
 
-
-def add(commands: Any) -> None:
-    """Add the command to those of the parser."""
-    merge = commands.add_parser(
-        "merge",
-        help="combine renders with different seeds into one",
-        description="Combine images of one scene, rendered by nonexp with different seeds, into "
-        "one: the mean weighted by samples, with its standard error.",
-    )
-    merge.add_argument("images", type=Path, nargs="+", metavar="IN.exr")
-    merge.add_argument("-o", "--output", type=Path, metavar="OUT.exr", required=True)
-    merge.set_defaults(run=_merge)
+__all__ = ["merge"]
 
 
-def _merge(options: argparse.Namespace) -> int:
-    import mitsuba as mi
+def merge(
+    *images: Annotated[Path, argument("IN.exr")],
+    output: Annotated[Path, argument("OUT.exr", None, "--output", "-o")],
+) -> None:
+    """Combine renders with different seeds into one.
 
-    from ..images import exr as output
-    from ..images import merge as merging
-    from ..system import machine
-
+    Combines images of one scene, rendered by nonexp with different seeds, into one: the mean
+    weighted by samples, with its standard error.
+    """
     with one_sentence():
-        mi.set_variant(machine.check_variant(None))  # which the PNG is written by
-        output.check(options.output)
-        pictures = [output.read(path) for path in options.images]
-        image, metadata = merging.merge(pictures)
-        output.write(options.output, image, metadata)
+        mi.set_variant(check_variant(None))  # which the PNG is written by
+        path = exr_path(output)
+        check_writable(path, path.with_suffix(".png"))
+        image, metadata = merging.merge([read(file) for file in images])
+        write(path, image, metadata)
     print(
-        f"{options.output}: {image.spp} samples per pixel in {image.passes} passes "
-        f"of {len(pictures)} images, error {image.error:.2%}"
+        f"{path}: {image.spp} samples per pixel in {image.passes} passes "
+        f"of {len(images)} images, {'black' if image.black else f'error {image.error:.2%}'}"
     )
-    return 0

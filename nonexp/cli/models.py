@@ -2,43 +2,23 @@
 
 from __future__ import annotations
 
-import argparse
 import inspect
-from typing import Any
 
-from ..system.terminal import stdout, table
+from ..models import create, names, registry
+from ..system.terminal import show, table
+from ..transmittance.parameters import describe, parameters_of
 
-__all__ = ["add"]
-
-
-def add(commands: Any) -> None:
-    """Add the command to those of the parser."""
-    models = commands.add_parser(
-        "models",
-        help="list the transmittance models",
-        description="List the transmittance models with their parameters.",
-    )
-    models.set_defaults(run=_models)
+__all__ = ["models"]
 
 
-def _models(_options: argparse.Namespace) -> int:
-    from rich.text import Text
-
-    from .. import models
-    from ..transmittance import parameters
-
-    console = stdout()
-    rows = table(console, "model", "transmittance", "parameters", "sigma_bar", lines=True)
-    for name in models.names():
-        cls = models.registry[name]
+def models() -> None:
+    """List the transmittance models with their parameters."""
+    rows = table("model", "transmittance", "parameters", "sigma_bar", lines=True)
+    for name in names():
+        cls = registry[name]
         law = (inspect.getdoc(cls) or "").partition("\n")[0]
-        fields = [parameters.describe(field) for field in parameters.parameters_of(cls).values()]
-        sigma_bar = f"{models.create(name, **cls.examples[0]).sigma_bar:.6g}"
-        separator = "\n" if console.is_terminal else ", "
-        row = (name, law, separator.join(fields) or "none", sigma_bar)
-        rows.add_row(*(Text(cell) for cell in row))
-    console.print(rows)
-    console.print(
-        Text("tau is optical depth, sigma_bar = -T'(0) at the default parameters."), style="dim"
-    )
-    return 0
+        fields = [describe(field) for field in parameters_of(cls).values()]
+        sigma_bar = f"{create(name, **cls.examples[0]).sigma_bar:.6g}"
+        rows.add_row(name, law, "\n".join(fields) or "none", sigma_bar)
+    show(rows)
+    show("tau is optical depth, sigma_bar = -T'(0) at the default parameters.", style="dim")

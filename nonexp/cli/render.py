@@ -2,278 +2,225 @@
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import json
+import math
 import platform
 import signal
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Annotated, Any
 
+from cyclopts import Group, Parameter
+
+from ..images.denoise import denoise as denoised_by
+from ..images.denoise import require as require_denoiser
+from ..images.exr import exr_path, write
+from ..images.image import Image
+from ..rendering.checkpoint import newest, older
+from ..rendering.cluster import connect
+from ..rendering.job import RenderJob
+from ..rendering.progress import time as written_time
+from ..rendering.render import Source, run
+from ..rendering.targets import fraction, seconds
+from ..scene.identity import digest
+from ..scene.load import LoadedScene
+from ..system.files import check_writable, remove_leftovers
 from ..system.signals import Stopped, stop_signals
 from ..system.terminal import note
-from . import progress as cli_progress
-from .arguments import UserError, add_scene, duration, fraction, load, one_sentence, size, whole
+from .arguments import (
+    Definitions,
+    Scene,
+    UserError,
+    Variant,
+    argument,
+    load,
+    one_sentence,
+    only_one,
+    whole,
+)
+from .arguments import (
+    size as image_size,
+)
 
-if TYPE_CHECKING:
-    from ..images.image import Image
-    from ..rendering.render import Source
-    from ..scene.load import LoadedScene
-
-__all__ = ["add"]
+__all__ = ["render"]
 
 MAX_SEED = 2**31 - 1  # an EXR header holds 32-bit integers
 
 WORTH_KEEPING = 60.0
 """Seconds of rendering that are not thrown away without being asked to."""
 
-
-def add(commands: Any) -> None:
-    """Add the command to those of the parser."""
-    render = commands.add_parser(
-        "render",
-        help="render a scene file to an EXR and a PNG",
-        description="Render a Mitsuba scene in passes, until the first of the targets --spp, "
-        "--time and --error is reached. Writes OUT.exr (channels R, G, B, their "
-        "standard error as stderr.R, stderr.G, stderr.B, and how it was made as nonexp:... in the "
-        "header) and a tone-mapped OUT.png beside it; while rendering, OUT.exr.checkpoint, from "
-        "which --resume goes on.",
-    )
-    add_scene(render)
-    render.add_argument(
-        "-o", "--output", type=Path, metavar="OUT.exr", help="default: the scene's name, here"
-    )
-    render.add_argument("--size", type=size, metavar="WxH", help="image size in pixels")
-    render.add_argument(
-        "--seed", type=whole(0, MAX_SEED), default=0, metavar="S", help="default: 0"
-    )
-    render.add_argument(
-        "--pass-spp",
-        type=whole(1),
-        metavar="N",
-        help="samples per pixel of a pass (default: by image size and --spp)",
-    )
-    targets = render.add_argument_group("targets, whichever is reached first")
-    targets.add_argument(
-        "--spp", type=whole(1), metavar="N", help="samples per pixel (default: the scene's)"
-    )
-    targets.add_argument("--time", type=duration, metavar="T", help="such as 90s, 10m or 2h30m")
-    targets.add_argument(
-        "--error",
-        type=fraction,
-        metavar="E",
-        help="relative standard error of the image, such as 1%%: root mean square over the pixels "
-        "that are not black of the standard error by the brightness of the pixel (or by a tenth "
-        "of the median brightness, if that is more)",
-    )
-    long = render.add_argument_group("long renders")
-    long.add_argument(
-        "--checkpoint",
-        type=_interval,
-        default=60.0,
-        metavar="T",
-        help="time between checkpoints, such as 5m, or off (default: 60s)",
-    )
-    start = long.add_mutually_exclusive_group()
-    start.add_argument(
-        "--resume",
-        action="store_true",
-        help="go on from the checkpoint, if there is one, to the same image as without a break",
-    )
-    start.add_argument(
-        "--restart", action="store_true", help="discard the checkpoint of an unfinished render"
-    )
-    long.add_argument(
-        "--cluster",
-        metavar="ADDRESS",
-        help="render on the workers of a Dask scheduler, such as tcp://host:8786, or local: on "
-        "two workers here",
-    )
-    render.add_argument(
-        "--denoise",
-        action="store_true",
-        help="add a denoised image: to the EXR as denoised.R, ..., and as OUT.denoised.png",
-    )
-    render.set_defaults(run=_render)
+TARGETS = Group("Targets, whichever is reached first", sort_key=1)
+LONG = Group("Long renders", sort_key=2)
+START = Group("start", validator=only_one, show=False)
 
 
 def _interval(text: str) -> float | None:
     if text == "off":
         return None
-    return 0.0 if text == "0" else duration(text)
+    return 0.0 if text == "0" else seconds(text)
 
 
-def _render(options: argparse.Namespace) -> int:
-    from ..images import denoise as denoising
-    from ..images import exr as output
-    from ..rendering import checkpoint
-    from ..system import files
+def render(
+    scene: Scene,
+    /,
+    *,
+    variant: Variant = None,
+    parameters: Definitions = (),
+    output: Annotated[Path | None, argument("OUT.exr", None, "--output", "-o")] = None,
+    size: Annotated[tuple[int, int] | None, argument("WxH", image_size)] = None,
+    sensor: Annotated[str, argument("N")] = "0",
+    seed: Annotated[int, argument("S", whole(0, MAX_SEED))] = 0,
+    pass_spp: Annotated[int | None, argument("N", whole(1))] = None,
+    spp: Annotated[int | None, argument("N", whole(1), group=TARGETS)] = None,
+    time: Annotated[float | None, argument("T", seconds, group=TARGETS)] = None,
+    error: Annotated[float | None, argument("E", fraction, group=TARGETS)] = None,
+    checkpoint: Annotated[float | None, argument("T", _interval, group=LONG)] = 60.0,
+    resume: Annotated[bool, Parameter(group=(LONG, START))] = False,
+    restart: Annotated[bool, Parameter(group=(LONG, START))] = False,
+    cluster: Annotated[str | None, argument("ADDRESS", group=LONG)] = None,
+    denoise: bool = False,
+) -> int:
+    """Render a scene file to an EXR and a PNG.
 
-    target: Path = options.output or Path(options.scene.stem + ".exr")
-    state = None
-    if options.checkpoint is not None:
-        state = target.with_name(target.name + ".checkpoint")
+    Renders a Mitsuba scene in passes, until the first of the targets --spp, --time and --error is
+    reached. Writes OUT.exr (channels R, G, B, their standard error as stderr.R, stderr.G, stderr.B,
+    and how it was made as nonexp:... in the header) and a tone-mapped OUT.png beside it; while
+    rendering, OUT.exr.checkpoint, from which --resume goes on.
+
+    Args:
+        output: name of the EXR, or of the PNG (default: the scene's name, here)
+        size: image size in pixels
+        sensor: number or id of the sensor (default: 0)
+        seed: default: 0
+        pass_spp: samples per pixel of a pass (default: by image size and --spp)
+        spp: samples per pixel (default: the scene's)
+        time: such as 90s, 10m or 2h30m
+        error: relative standard error of the image, such as 1%: root mean square over the pixels
+            that are not black of the standard error by the brightness of the pixel (or by a tenth
+            of the median brightness, if that is more)
+        checkpoint: time between checkpoints, such as 5m, or off (default: 60s)
+        resume: go on from the checkpoint, if there is one, to the same image as without a break
+        restart: discard the checkpoint of an unfinished render
+        cluster: render on the workers of a Dask scheduler, such as tcp://host:8786, or local: on
+            two workers here
+        denoise: add a denoised image: to the EXR as denoised.R, ..., and as OUT.denoised.png
+    """
     with one_sentence():
-        output.check(target, *([state] if state else []))
-        if options.resume and state is None:
+        path = exr_path(output or Path(scene.stem + ".exr"))
+        state = None if checkpoint is None else path.with_name(path.name + ".checkpoint")
+        check_writable(path, path.with_suffix(".png"), *([state] if state else []))
+        if resume and state is None:
             raise ValueError("--resume needs checkpoints: leave out --checkpoint off")
-    loaded = load(options, options.size)
-    with one_sentence(), _warnings():
-        if options.denoise:
-            denoising.require()
+    loaded = load(scene, variant, parameters, size)
+    with one_sentence(), _warnings_as_notes():
+        if denoise:
+            require_denoiser()
         if state is not None:
-            _look_at(state, options)
-            files.remove_leftovers(target, target.with_suffix(".png"), state)
+            _check_checkpoint(state, resume, restart)
+            remove_leftovers(path, path.with_suffix(".png"), state)
+        job = RenderJob.of_file(
+            loaded,
+            scene,
+            dict(parameters),
+            size,
+            path,
+            spp=spp,
+            time=time,
+            error=error,
+            seed=seed,
+            sensor=sensor,
+            pass_spp=pass_spp,
+            checkpoint=state,
+            resume=resume,
+            interval=checkpoint or 0.0,
+        )
         before = _version(state)
-        with stop_signals(immediately=options.cluster is not None) as stop:
-            try:
-                image, identity = _run(loaded, options, state, stop)
-            except Stopped as stopped:
-                return _say_how_to_resume(stopped, state, before)
-        metadata = _metadata(options, loaded, image, identity)
-        denoised = None
+        if spp is not None and spp != job.plan.spp and not (resume and before):
+            note(
+                f"--spp {spp} becomes {job.plan.spp}: "
+                f"{job.plan.passes} passes of {job.plan.pass_spp} samples per pixel"
+            )
         try:
-            if options.denoise:
-                denoised, metadata["denoiser"] = denoising.denoise(image.mean)
+            with stop_signals(immediately=cluster is not None) as stop, _workers(cluster) as source:
+                image = run(job, loaded.scene, scene.name, lambda _: stop.check(), source)
+            metadata = _metadata(job, str(scene), loaded, image)
+            clean = None
+            if denoise:
+                clean, metadata["denoiser"] = denoised_by(image.mean)
             with _saved_at_least(state, before):
-                output.write(target, image, metadata, denoised)
-        except KeyboardInterrupt:
-            return _say_how_to_resume(Stopped(signal.SIGINT), state, before)
-    if state is not None:
-        checkpoint.older(state).unlink(missing_ok=True)
-        if image.seconds < options.checkpoint:  # quicker made again than kept
+                write(path, image, metadata, clean)
+        except (Stopped, KeyboardInterrupt) as error:
+            return _report_interruption(error, state, before)
+    if state is not None and checkpoint is not None:
+        older(state).unlink(missing_ok=True)
+        if image.seconds < checkpoint:  # quicker rendered again than resumed
             state.unlink(missing_ok=True)
-    noise = f", error {image.error:.2%}" if image.passes > 1 else ""
     print(
-        f"{target}: {image.spp} samples per pixel in {image.passes} "
-        f"pass{'es' if image.passes > 1 else ''}, {cli_progress.time(image.seconds)}{noise}"
+        f"{path}: {image.spp} samples per pixel in {image.passes} "
+        f"pass{'es' if image.passes > 1 else ''}, {written_time(image.seconds)}"
+        + ("" if math.isnan(image.error) else f", error {image.error:.2%}")
     )
     return 0
 
 
-# --------------------------------------------------------------------- rendering
+@contextlib.contextmanager
+def _workers(address: str | None) -> Iterator[Source | None]:
+    """What renders the passes: a cluster, or None for this process."""
+    if address is None:
+        yield None
+        return
+    with connect(address, note) as cluster:
+        workers = cluster.workers()
+        note(f"{workers} worker{'' if workers == 1 else 's'}, dashboard at {cluster.dashboard}")
+        yield cluster.passes
 
 
-def _run(
-    loaded: LoadedScene, options: argparse.Namespace, state: Path | None, stop: Any
-) -> tuple[Image, dict[str, Any]]:
-    """Render with a progress bar; the image and its identity."""
-    import mitsuba as mi
-
-    from .. import rendering
-    from ..rendering.render import identity_of, render
-    from ..rendering.targets import Progress
-    from ..scene import identity as sceneid
-
-    scene = loaded.scene
-    open_ended = options.spp is None and (options.time is not None or options.error is not None)
-    identity = {
-        **sceneid.of_files(options.scene, dict(options.parameters)),
-        "integrator": ", ".join(loaded.integrators),
-    }
-    if options.spp is not None and not (state is not None and state.exists()):
-        plan = rendering.planned(scene, options.spp, pass_spp=options.pass_spp)
-        if plan.spp != options.spp:
-            note(
-                f"--spp {options.spp} becomes {plan.spp}: "
-                f"{plan.passes} passes of {plan.pass_spp} samples per pixel"
-            )
-    with contextlib.ExitStack() as stack:
-        source = _source(stack, options)
-        pixels = mi.ScalarVector2u(scene.sensors()[0].film().crop_size())
-        show = stack.enter_context(
-            cli_progress.bar(options.scene.name, int(pixels[0] * pixels[1]), options.error)
-        )
-
-        def on_progress(progress: Progress) -> None:
-            show(progress)
-            stop.check()
-
-        image = render(
-            scene,
-            spp=None if open_ended else options.spp,
-            time=options.time,
-            error=options.error,
-            seed=options.seed,
-            pass_spp=options.pass_spp,
-            checkpoint=state,
-            resume=options.resume,
-            interval=options.checkpoint or 0.0,
-            on_progress=on_progress,
-            identity=identity,
-            source=source,
-        )
-    return image, identity_of(scene, 0, options.seed, identity)
-
-
-def _source(stack: contextlib.ExitStack, options: argparse.Namespace) -> Source | None:
-    """Who renders the passes: this process, or a cluster."""
-    if options.cluster is None:
-        return None
-    import mitsuba as mi
-
-    from ..rendering import cluster
-    from ..scene import files as scenefiles
-    from ..scene import identity as sceneid
-
-    files = scenefiles.collect(options.scene, dict(options.parameters))
-    files.check_movable()
-    where = stack.enter_context(cluster.connect(options.cluster, note))
-    workers = where.workers()
-    note(f"{workers} worker{'' if workers == 1 else 's'}, dashboard at {where.dashboard}")
-
-    def source(plan: Any, seed: int, start: int) -> Iterator[Any]:
-        job = cluster.Job(
-            root=files.root.relative_to(files.folder).as_posix(),
-            parameters=dict(options.parameters),
-            size=options.size,
-            variant=mi.variant() or "",
-            plan=plan,
-            seed=seed,
-            versions=sceneid.versions(),
-        )
-        return where.passes(files, job, start)
-
-    return source
+@contextlib.contextmanager
+def _warnings_as_notes() -> Iterator[None]:
+    """Print warnings for users as notes."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", UserWarning)
+        warnings.showwarning = lambda message, *_: note(f"warning: {message}")
+        yield
 
 
 # --------------------------------------------------------------------- checkpoints
 
 
-def _look_at(state: Path, options: argparse.Namespace) -> None:
-    """Whether the checkpoint that is there, if any, may be used, or replaced."""
-    from ..rendering import checkpoint
-
-    if options.resume:
-        if not state.exists() and not checkpoint.older(state).exists():
+def _check_checkpoint(state: Path, resume: bool, restart: bool) -> None:
+    """Raise :class:`UserError` if there is a checkpoint that must not be replaced."""
+    if resume:
+        if not state.exists() and not older(state).exists():
             note(f"there is no checkpoint {str(state)!r}: starting from the beginning")
         return
     try:
-        found = checkpoint.load(state)
+        found = newest(state)
     except ValueError:
         found = None  # damaged: nothing to lose
-    if found is None or options.restart:
+    if found is None or restart:
         return
     saved, _ = found
     if not saved.finished and saved.seconds >= WORTH_KEEPING:
-        spent = cli_progress.time(saved.seconds)
         raise UserError(
-            f"{str(state)!r} holds {spent} of an unfinished render: "
+            f"{str(state)!r} holds {written_time(saved.seconds)} of an unfinished render: "
             "give --resume to go on, or --restart to discard it"
         )
 
 
 def _version(state: Path | None) -> tuple[int, ...] | None:
-    """What tells one checkpoint from the next of the same name; clocks may be set back."""
+    """Distinguishes a checkpoint from the next of the same name, even if clocks are set back."""
     if state is None or not state.exists():
         return None
     status = state.stat()
     return status.st_ino, status.st_mtime_ns, status.st_size
 
 
-def _say_how_to_resume(stopped: Stopped, state: Path | None, before: Any) -> int:
+def _report_interruption(
+    error: Stopped | KeyboardInterrupt, state: Path | None, before: Any
+) -> int:
+    stopped = error if isinstance(error, Stopped) else Stopped(signal.SIGINT)
     if _version(state) not in (None, before):
         note(
             f"{stopped}; what is done is in {str(state)!r}: "
@@ -286,7 +233,7 @@ def _say_how_to_resume(stopped: Stopped, state: Path | None, before: Any) -> int
 
 @contextlib.contextmanager
 def _saved_at_least(state: Path | None, before: Any) -> Iterator[None]:
-    """Where the image cannot be written, tell what is in the checkpoint."""
+    """Where the image cannot be written, say what is in the checkpoint."""
     try:
         yield
     except OSError as error:
@@ -296,28 +243,18 @@ def _saved_at_least(state: Path | None, before: Any) -> Iterator[None]:
         raise OSError(f"{error} ({saved})") from error
 
 
-@contextlib.contextmanager
-def _warnings() -> Iterator[None]:
-    """Tell the library's warnings as notes."""
-    with warnings.catch_warnings():
-        warnings.filterwarnings("always", module="nonexp")
-        warnings.showwarning = lambda message, *_: note(f"warning: {message}")
-        yield
-
-
 # --------------------------------------------------------------------- metadata
 
 
 def _metadata(
-    options: argparse.Namespace, loaded: LoadedScene, image: Image, identity: dict[str, Any]
+    job: RenderJob, scene: str, loaded: LoadedScene, image: Image
 ) -> dict[str, str | int | float]:
-    from ..scene import identity as sceneid
-
+    identity = job.identity
     versions = dict(identity["versions"])
-    mine = {name: value for name, value in identity.items() if name != "seed"}
+    film: Any = loaded.scene.sensors()[job.sensor].film()
     return {
-        "scene": str(options.scene),
-        "parameters": json.dumps(dict(options.parameters)),
+        "scene": scene,
+        "parameters": json.dumps(job.parameters),
         "integrator": loaded.integrators[0] if loaded.integrators else "",
         "spp": image.spp,
         "pass_spp": image.pass_spp,
@@ -326,11 +263,11 @@ def _metadata(
         "seconds": image.seconds,
         "error": image.error,
         "stopped": image.stopped,
-        "filter": str(loaded.scene.sensors()[0].film().rfilter()).partition("[")[0],
-        "variant": identity["variant"],
+        "filter": str(film.rfilter()).partition("[")[0],
+        "variant": job.variant,
         "version": versions.pop("nonexp"),
         **versions,
         "python": platform.python_version(),
-        "scene_hash": sceneid.digest({k: identity[k] for k in ("parameters", "files")}),
-        "identity": json.dumps(mine),
+        "scene_hash": digest({k: identity[k] for k in ("parameters", "files")}),
+        "identity": json.dumps({k: v for k, v in identity.items() if k != "seed"}),
     }

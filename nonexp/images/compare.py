@@ -43,7 +43,7 @@ class BlockTest:
 
     @property
     def same(self) -> bool:
-        """The images differ by noise alone, as far as this test can tell."""
+        """The images differ by noise alone, as far as this test can see."""
         return self.worst <= self.limit
 
 
@@ -62,7 +62,7 @@ class Comparison:
     bias_error: float | None
     """its standard error"""
     test: BlockTest | None
-    """None where an image has no standard error"""
+    """None if an image has no standard error"""
 
 
 def compare(a: Picture, b: Picture) -> Comparison:
@@ -106,7 +106,7 @@ def picture(a: Picture, b: Picture) -> tuple[Array, float]:
 
 
 def _variance(a: Picture, b: Picture) -> Array | None:
-    """Variance of a - b; None where an image does not know its own."""
+    """Variance of a - b; None if an image has no standard error."""
     if a.stderr is None or b.stderr is None:
         return None
     variance = np.square(a.stderr) + np.square(b.stderr)
@@ -163,7 +163,7 @@ def _test(a: Picture, b: Picture, variance: Array, level: float) -> BlockTest:
 
 
 def _deviations(difference: Array, variance: Array, rounding: Array, spread: Array) -> Array:
-    """|difference| in standard errors; as normal variables that are as improbable as these."""
+    """|difference| in standard errors; converted to normal variables of the same probability."""
     raw = np.abs(difference) / np.maximum(np.sqrt(variance + np.square(rounding)), 1e-300)
     known = spread == 0  # not estimated from passes: there is no noise
     freedom = np.where(known, 1e9, np.square(variance) / np.where(known, 1, spread))

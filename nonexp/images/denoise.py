@@ -1,4 +1,4 @@
-"""Denoising a finished image. Never done unless asked for: what it adds is a guess."""
+"""Denoising a finished image, on request only: what it adds is a guess."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def denoise(image: Array) -> tuple[Array, str]:
     """An image of linear RGB values without most of its noise, and what removed it.
 
     By Mitsuba's OptiX denoiser in CUDA variants, else by Open Image Denoise (package pyoidn, the
-    extra ``denoise``). Both are neural networks that see nothing but the image.
+    extra ``denoise``). Both are neural networks that are given nothing but the image.
     """
     require()
     noisy = np.ascontiguousarray(image, dtype=np.float32)

@@ -1,4 +1,4 @@
-"""Image files: EXR with the standard error and metadata, PNG to look at."""
+"""Image files: EXR with the standard error and metadata, a PNG beside it."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import mitsuba as mi
 import numpy as np
 import OpenEXR
 
-from ..system.files import check_writable, replacing
+from ..system.files import replacing
 from .image import Image
 from .moments import Array
+from .png import tone_map, write_png
 
-__all__ = ["Picture", "check", "read", "tone_map", "write", "write_exr", "write_png"]
+__all__ = ["Picture", "exr_path", "read", "write", "write_exr"]
 
 Metadata = Mapping[str, str | int | float]
 
@@ -34,14 +34,14 @@ class Picture:
     """how it was made: the header's ``nonexp:<key>``, by key"""
 
 
-def check(path: Path, *beside: Path) -> None:
-    """Raise ``ValueError`` or ``OSError`` unless an EXR file, and a PNG beside it, can be written.
+def exr_path(output: Path) -> Path:
+    """The EXR file of an output, which may be named as the PNG beside it.
 
-    So can other files ``beside`` it. Leaves no trace, and existing files alone.
+    Raises ``ValueError`` for another suffix.
     """
-    if path.suffix.lower() != ".exr":
-        raise ValueError(f"output is {str(path)!r}: it must be a file name that ends in .exr")
-    check_writable(path, path.with_suffix(".png"), *beside)
+    if output.suffix.lower() not in (".exr", ".png"):
+        raise ValueError(f"output is {str(output)!r}: it must be a file name in .exr or .png")
+    return output if output.suffix.lower() == ".exr" else output.with_suffix(".exr")
 
 
 def write(path: Path, image: Image, metadata: Metadata, denoised: Array | None = None) -> None:
@@ -50,8 +50,7 @@ def write(path: Path, image: Image, metadata: Metadata, denoised: Array | None =
     The EXR holds 32-bit floats: the mean in ``R, G, B``, its standard error in ``stderr.R,
     stderr.G, stderr.B``, and ``metadata`` as header attributes ``nonexp:<key>``. A ``denoised``
     image is added to it as ``denoised.R, ...``, and is also written to a PNG of its own. The files
-    are written aside and put in place when all of them are complete; where that fails, ``OSError``
-    says why, and the old ones stay.
+    replace existing ones when all of them are complete; otherwise ``OSError`` says why.
     """
     layers = {"": image.mean, "stderr.": image.stderr}
     pictures = {path.with_suffix(".png"): image.mean}
@@ -63,20 +62,9 @@ def write(path: Path, image: Image, metadata: Metadata, denoised: Array | None =
             write_exr(exr, layers, metadata)
             for png, picture in zip(pngs, pictures.values(), strict=True):
                 write_png(png, tone_map(picture))
-    except (OSError, RuntimeError) as error:  # which name the files written aside
+    except (OSError, RuntimeError) as error:  # whose text names the temporary files
         why = re.sub(r"^.*?\.part\W*", "", str(error), flags=re.DOTALL)
         raise OSError(f"{str(path)!r} cannot be written: {why.strip(' .') or error}") from error
-
-
-def tone_map(linear: Array) -> Array:
-    """Displayable values in [0, 1]: linear up to 0.7, a smooth shoulder above, sRGB transfer."""
-    knee = 0.7
-    bright = 1 - (1 - knee) * np.exp((knee - np.maximum(linear, knee)) / (1 - knee))
-    value = np.clip(np.where(linear > knee, bright, np.nan_to_num(linear)), 0, 1)
-    srgb: Array = np.where(
-        value <= 0.0031308, 12.92 * value, 1.055 * np.maximum(value, 0.0031308) ** (1 / 2.4) - 0.055
-    )
-    return srgb
 
 
 def write_exr(path: Path, layers: Mapping[str, Array], metadata: Metadata) -> None:
@@ -103,14 +91,6 @@ def write_exr(path: Path, layers: Mapping[str, Array], metadata: Metadata) -> No
         same = False
     if not same:
         raise OSError("the file is not what was written to it; is the disk full?")
-
-
-def write_png(path: Path, picture: Array) -> None:
-    """Write values in [0, 1]."""
-    pixels = np.round(255 * picture).astype(np.uint8)
-    stream = mi.MemoryStream()
-    mi.Bitmap(pixels).write(stream, mi.Bitmap.FileFormat.PNG)
-    path.write_bytes(stream.raw_buffer())
 
 
 def read(path: Path) -> Picture:

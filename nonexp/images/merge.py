@@ -18,7 +18,7 @@ __all__ = ["merge", "seeds"]
 
 
 def merge(pictures: Sequence[Picture]) -> tuple[Image, dict[str, Any]]:
-    """The image that renders with different seeds are parts of, and its metadata.
+    """One image of renders with different seeds, and its metadata.
 
     The mean is weighted by samples. With W samples per pixel, N passes, mean m and standard error
     e of each part, S = W (N - 1) e^2 is the sum of the weighted squared deviations of its passes;
@@ -29,7 +29,8 @@ def merge(pictures: Sequence[Picture]) -> tuple[Image, dict[str, Any]]:
     that share a seed, and says what differs.
     """
     if len(pictures) < 2:
-        raise ValueError("there is one image: merging takes two or more")
+        there = "there is one image" if pictures else "there are no images"
+        raise ValueError(f"{there}: merging takes two or more")
     first = pictures[0]
     held: dict[int, Picture] = {}
     for picture in pictures:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Accumulator", "Array", "Moments", "Noise"]
+__all__ = ["Array", "Moments", "Noise"]
 
 Array = npt.NDArray[np.float64]
 
@@ -20,7 +20,7 @@ _DARK = 0.1
 class Moments:
     """Mean of ``passes`` independent images, and their squared deviations from it.
 
-    A value: :meth:`plus` makes a new one, so that what is being written to disk never changes.
+    Immutable: :meth:`plus` makes a new one, so that a checkpoint being written never changes.
     Welford's method, in double precision: stable over any number of passes. These three fields are
     all the state of a render.
     """
@@ -47,32 +47,6 @@ class Moments:
         return stderr
 
 
-class Accumulator:
-    """Takes images one by one; ``moments`` are those of all so far."""
-
-    def __init__(self) -> None:
-        self.moments = Moments()
-
-    def add(self, image: Array) -> None:
-        """Take one more independent image."""
-        self.moments = self.moments.plus(image)
-
-    @property
-    def passes(self) -> int:
-        """Number of images."""
-        return self.moments.passes
-
-    @property
-    def mean(self) -> Array:
-        """Mean of the images."""
-        return self.moments.mean
-
-    @property
-    def stderr(self) -> Array:
-        """Standard error of :attr:`mean`; NaN for fewer than 2 images."""
-        return self.moments.stderr
-
-
 @dataclass(frozen=True)
 class Noise:
     """How noisy an image is as a whole: its relative standard error.
@@ -84,8 +58,8 @@ class Noise:
 
     Each pixel counts by its relative error, so that a light in the picture does not hide the noise
     of the rest; dark pixels are held to a tenth of the median instead of to nothing; black
-    background does not dilute; no pixel counts for more than 1.8. An image that is all black has
-    error 0, a single pass NaN.
+    background does not dilute; no pixel counts for more than 1.8. NaN, unknown, after a single pass
+    and for an image that is black everywhere: nothing says how far it is from the true one.
     """
 
     error: float
@@ -106,7 +80,7 @@ class Noise:
         brightness = np.abs(mean.mean(axis=2))
         lit = brightness > 0
         if not lit.any():
-            return Noise(0.0, 0.0)
+            return Noise(math.nan, math.nan)
         brightness = brightness[lit]
         floor = _DARK * np.median(brightness)
         squares = np.square(stderr).mean(axis=2)[lit] / np.square(np.maximum(brightness, floor))

@@ -2,9 +2,11 @@
 
 =================  ===============================================================================
 ``render``         a render from its first pass to its last, and its resumption
+``job``            what is rendered, how, until when, and where to
 ``passes``         how samples are divided, and the passes themselves
 ``targets``        when a render is good enough
 ``checkpoint``     its state on disk
+``progress``       the progress bar
 ``cluster``        rendering on many machines
 =================  ===============================================================================
 """

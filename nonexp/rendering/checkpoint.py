@@ -1,9 +1,9 @@
-"""Checkpoints: the state of a render on disk, so that it can go on later as if nothing had been.
+"""Checkpoints: the state of a render on disk, from which it goes on as if never interrupted.
 
 A checkpoint is one file: a line that names the format, a line of JSON (what is rendered, how far
 it is), the mean and the squared deviations of all passes as 64-bit floats, and a checksum over all
-of this (BLAKE2b). The one before it is kept beside it, with ``.old`` added to the name. Files are
-written aside, forced to disk and renamed, so that one of the two is whole at any moment.
+of this (BLAKE2b). The one before it is kept beside it, with ``.old`` added to the name. Files get
+their names when they are complete and on disk, so that one of the two is whole at any moment.
 """
 
 from __future__ import annotations
@@ -22,8 +22,9 @@ import numpy as np
 
 from ..images.moments import Moments
 from ..system.files import replacing
+from .job import RenderJob
 
-__all__ = ["Checkpoint", "Keeper", "load", "older", "read", "write"]
+__all__ = ["Checkpoint", "Keeper", "newest", "older", "read", "write"]
 
 _MAGIC = b"nonexp checkpoint 1\n"
 _DIGEST = 32  # bytes
@@ -39,7 +40,7 @@ class Checkpoint:
     seconds: float
     """time spent on it so far"""
     finished: bool = False
-    """it had reached its target"""
+    """it has reached its target"""
     written: str = ""
     """date and time"""
 
@@ -93,8 +94,8 @@ def read(path: Path) -> Checkpoint:
     )
 
 
-def load(path: Path) -> tuple[Checkpoint, str] | None:
-    """The newest checkpoint that is whole, and what was wrong with the newest; None without any.
+def newest(path: Path) -> tuple[Checkpoint, str] | None:
+    """The newest checkpoint that is whole, and what is wrong with a newer one; None without any.
 
     Raises ``ValueError`` where there are files, but none that is whole.
     """
@@ -117,20 +118,14 @@ def load(path: Path) -> tuple[Checkpoint, str] | None:
 class Keeper:
     """Writes a render's state from time to time, on a thread of its own.
 
-    ``identity`` as in :class:`Checkpoint`; at most one file per ``interval`` seconds, and one
-    at the end. What cannot be written is told once to ``warn``; rendering goes on.
+    At most one file per ``job.interval`` seconds, and one at the end. A write failure is reported
+    once, to ``warn``; rendering goes on.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        identity: Mapping[str, Any],
-        interval: float,
-        *,
-        keep_present: bool,
-        warn: Callable[[str], Any],
-    ) -> None:
-        self._path, self._identity, self._interval = path, identity, interval
+    def __init__(self, job: RenderJob, *, keep_present: bool, warn: Callable[[str], Any]) -> None:
+        assert job.checkpoint is not None
+        self._path, self._interval = job.checkpoint, job.interval
+        self._identity = job.state_identity
         self._keep, self._warn = keep_present, warn
         self._last = perf_counter()
         self._thread: threading.Thread | None = None
@@ -138,23 +133,23 @@ class Keeper:
         self._warned = False
 
     def offer(self, moments: Moments, seconds: float) -> None:
-        """Start to write if it is time to, and nothing is being written."""
+        """Start to write if it is time, and nothing is being written."""
         busy = self._thread is not None and self._thread.is_alive()
         if busy or perf_counter() - self._last < self._interval:
             return
-        self._tell()
+        self._report()
         self._last = perf_counter()
         state = Checkpoint(self._identity, moments, seconds)
         self._thread = threading.Thread(target=self._try_to_write, args=(state,))
         self._thread.start()
 
     def close(self, moments: Moments, seconds: float, finished: bool) -> bool:
-        """Write the last state; whether that went well."""
+        """Write the last state; returns whether that succeeded."""
         if self._thread is not None:
             self._thread.join()
         self._failure = None
         self._try_to_write(Checkpoint(self._identity, moments, seconds, finished))
-        self._tell()
+        self._report()
         return self._failure is None
 
     def _try_to_write(self, state: Checkpoint) -> None:
@@ -164,7 +159,7 @@ class Keeper:
         except OSError as error:
             self._failure = error
 
-    def _tell(self) -> None:
+    def _report(self) -> None:
         if self._failure is not None and not self._warned:
             self._warned = True
             why = self._failure.strerror or self._failure

@@ -1,10 +1,9 @@
 """Rendering on many machines with Dask distributed (the extra ``cluster``).
 
 Passes are tasks. A worker gets the scene as an archive of its files, unpacks it once into a folder
-named by its checksum, and renders pass k with the seed of pass k, whichever worker it is; the
-images are taken in the order of the passes. So the result is that of one machine, bit for bit, if
-all have the same type of processor. Dask gives a task to another worker when one is lost; a pass
-counts once, by its number.
+named by its checksum, and renders pass k with the seed of pass k. The images are summed in the
+order of the passes, so the result is that of one machine, bit for bit, if all have the same type
+of processor. When a worker is lost, Dask gives its tasks to another; a pass counts once.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ import threading
 import warnings
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -33,13 +32,13 @@ import mitsuba as mi
 import numpy as np
 
 from ..images.moments import Array
-from ..scene import identity as sceneid
-from ..scene import load as scenefile
-from ..scene.files import SceneFiles
+from ..scene.identity import versions
+from ..scene.load import load
 from ..system.signals import sigint_ignored
+from .job import RenderJob
 from .passes import Plan, render_passes
 
-__all__ = ["Cluster", "Job", "connect", "require"]
+__all__ = ["Cluster", "connect", "require"]
 
 _TIMEOUT = 10  # seconds until a scheduler must have answered
 _ENDLESS = 2**62
@@ -60,56 +59,40 @@ def require() -> None:
 # --------------------------------------------------------------------- on a worker
 
 
-@dataclass(frozen=True)
-class Job:
-    """What a worker has to know besides the scene's files."""
-
-    root: str
-    """scene file in the archive"""
-    parameters: Mapping[str, str]
-    size: tuple[int, int] | None
-    variant: str
-    plan: Plan
-    seed: int
-    versions: Mapping[str, str]
-
-
 _lock = threading.Lock()  # Dr.Jit uses all cores for one pass
 _loaded: dict[str, Any] = {}
 
 
-def render_pass(archive: bytes, job: Job, number: int) -> Any:
-    """Render pass ``number``; runs on a worker."""
+def render_pass(archive: bytes, root: str, job: RenderJob, number: int) -> Any:
+    """Render pass ``number`` of the scene file ``root`` in an archive; runs on a worker."""
     with _lock:
         mi.set_variant(job.variant)
         if _THREADS in os.environ:
             dr.set_thread_count(int(os.environ[_THREADS]))
-        mine = sceneid.versions()
-        differ = [name for name, value in job.versions.items() if mine.get(name) != value]
+        mine, wanted = versions(), job.identity["versions"]
+        differ = [name for name, value in wanted.items() if mine.get(name) != value]
         if differ:
-            here, there = (
-                ", ".join(f"{k} {v.get(k)}" for k in differ) for v in (mine, job.versions)
-            )
+            here, there = (", ".join(f"{k} {v.get(k)}" for k in differ) for v in (mine, wanted))
             raise ValueError(
                 f"a worker on {platform.node()} has {here} instead of {there}: "
                 "all machines must have the same versions"
             )
-        scene = _scene(archive, job)
         todo = Plan(number + 1, job.plan.pass_spp)
-        (image,) = render_passes(scene, todo, job.seed, start=number)
+        scene = _scene(archive, root, job)
+        (image,) = render_passes(scene, todo, job.seed, sensor=job.sensor, start=number)
         single = "double" not in job.variant
-        return image.astype(np.float32) if single else image  # half the traffic, same bits
+        return image.astype(np.float32) if single else image  # half the traffic, the same bits
 
 
-def _scene(archive: bytes, job: Job) -> Any:
+def _scene(archive: bytes, root: str, job: RenderJob) -> Any:
     """The scene, from memory where this process has it already."""
     name = hashlib.blake2b(archive, digest_size=16).hexdigest()
-    key = f"{name} {job.root} {sorted(job.parameters.items())} {job.size} {job.variant}"
+    key = f"{name} {root} {sorted(job.parameters.items())} {job.size} {job.variant}"
     if key not in _loaded:
         folder = _unpack(archive, name)
         mi.set_log_level(mi.LogLevel.Error)
         _loaded.clear()  # one scene at a time is enough
-        _loaded[key] = scenefile.load(folder / job.root, job.parameters, job.size).scene
+        _loaded[key] = load(folder / root, job.parameters, job.size).scene
     return _loaded[key]
 
 
@@ -136,17 +119,18 @@ def _unpack(archive: bytes, name: str) -> Path:
 class Cluster:
     """A connection to a scheduler; ``dashboard`` is the address of Dask's page about it."""
 
-    def __init__(self, client: Any, tell: Callable[[str], Any] = lambda text: None) -> None:
+    def __init__(self, client: Any, note: Callable[[str], Any] = lambda text: None) -> None:
         self._client = client
-        self._tell = tell
+        self._note = note
         self.dashboard = str(client.dashboard_link or "")
 
     def workers(self) -> int:
         """Number of workers at present."""
-        return len(self._client.scheduler_info(n_workers=-1)["workers"])
+        found = self._client.scheduler_info(n_workers=-1)  # empty when the scheduler has gone
+        return len(found.get("workers", ()))
 
-    def passes(self, files: SceneFiles, job: Job, start: int = 0) -> Iterator[Array]:
-        """Render the passes of a job, from number ``start`` on; yields them in order.
+    def passes(self, job: RenderJob, start: int = 0) -> Iterator[Array]:
+        """Render the passes of a job from a file, from number ``start`` on; yields them in order.
 
         Not more than twice as many passes as there are workers, and two, are under way, so that
         memory stays flat. Raises ``RuntimeError`` where a pass fails or ends the workers that
@@ -155,8 +139,12 @@ class Cluster:
         from distributed import CancelledError
         from distributed.comm.core import CommClosedError
 
-        plan = job.plan
-        numbers = range(start, _ENDLESS if plan.passes is None else plan.passes)
+        files, job = job.files, replace(job, files=None)
+        if files is None:
+            raise ValueError("a scene in memory has no files to send to a cluster")
+        files.check_movable()
+        root = files.root.relative_to(files.folder).as_posix()
+        numbers = range(start, _ENDLESS if job.plan.passes is None else job.plan.passes)
         run = os.urandom(8).hex()
         under_way: dict[int, Any] = {}
         with warnings.catch_warnings():
@@ -167,7 +155,13 @@ class Cluster:
             for number in numbers:
                 for ahead in itertools.islice(todo, self._room(under_way)):
                     under_way[ahead] = self._client.submit(
-                        render_pass, archive, job, ahead, key=f"nonexp-{run}-{ahead}", pure=False
+                        render_pass,
+                        archive,
+                        root,
+                        job,
+                        ahead,
+                        key=f"nonexp-{run}-{ahead}",
+                        pure=False,
                     )
                 yield np.asarray(self._result(under_way.pop(number)), dtype=np.float64)
         except (CancelledError, CommClosedError):  # the client cancels what it cannot ask about
@@ -180,19 +174,19 @@ class Cluster:
         return max(0, 2 * self.workers() + 2 - len(under_way))
 
     def _result(self, future: Any) -> Any:
-        """What a task gives, however long it takes; tells where there are no workers."""
+        """The result of a task, however long it takes; notes once if there are no workers."""
         from distributed import KilledWorker, TimeoutError
 
-        told = False
+        noted = False
         while True:
             try:
                 return future.result(timeout=2)
             except TimeoutError:
                 if self._client.status not in ("running", "connecting"):
                     raise RuntimeError("the scheduler cannot be reached any more") from None
-                if not told and not self.workers():
-                    told = True
-                    self._tell("there are no workers: waiting for one to join")
+                if not noted and not self.workers():
+                    noted = True
+                    self._note("there are no workers: waiting for one to join")
             except KilledWorker as error:
                 raise RuntimeError(
                     "a pass ended every worker that tried it (too little memory?)"
@@ -200,12 +194,12 @@ class Cluster:
 
 
 def _same(archive: bytes) -> bytes:
-    """Carries the archive: a result of a task can be made again when a worker is lost."""
+    """The archive as the result of a task, which Dask can repeat when a worker is lost."""
     return archive
 
 
 @contextlib.contextmanager
-def connect(where: str, tell: Callable[[str], Any] = lambda text: None) -> Iterator[Cluster]:
+def connect(where: str, note: Callable[[str], Any] = lambda text: None) -> Iterator[Cluster]:
     """Connect to a scheduler by its address, such as tcp://host:8786.
 
     ``local`` starts one with two workers on this machine, ``local:N`` with N, which share its
@@ -213,7 +207,7 @@ def connect(where: str, tell: Callable[[str], Any] = lambda text: None) -> Itera
     """
     require()
     distributed: Any = importlib.import_module("distributed")  # whose functions have no types
-    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # we say it in a sentence
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # the error below is enough
     match = re.fullmatch(r"local(?::([1-9]\d{0,2}))?", where)
     with contextlib.ExitStack() as stack:
         address: Any = where
@@ -239,4 +233,4 @@ def connect(where: str, tell: Callable[[str], Any] = lambda text: None) -> Itera
                 f"--cluster is {where!r}: no scheduler answers there "
                 "(it must be local, local:N, or an address such as tcp://host:8786)"
             ) from error
-        yield Cluster(client, tell)
+        yield Cluster(client, note)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import itertools
-import re
+import operator
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -14,6 +14,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..images.moments import Array
+from ..system import insides
 
 __all__ = [
     "MAX_PASS_SAMPLES",
@@ -29,7 +30,7 @@ MIN_PASSES = 8
 """Fewest passes, where the number of samples allows: below, the standard error is a guess."""
 
 MAX_PASS_SAMPLES = 1 << 22
-"""Most samples of one pass over all pixels: bounds memory, and the wait between two passes."""
+"""Most samples of a pass over all pixels: bounds memory, and the time between two passes."""
 
 # Dr.Jit adds samples to pixels in parallel. The sum is the same in every run if no two threads
 # share a pixel: with passes of a power of two that is so for large passes (the work is split in
@@ -57,6 +58,10 @@ class Plan:
         """Samples per pixel in total."""
         return None if self.passes is None else self.passes * self.pass_spp
 
+    def for_spp(self, spp: int | None) -> Plan:
+        """Passes of this size for ``spp`` samples per pixel, rounded up to whole passes."""
+        return Plan(None if spp is None else -(-spp // self.pass_spp), self.pass_spp)
+
 
 def plan(spp: int | None, pixels: int) -> Plan:
     """Divide ``spp`` samples per pixel into passes, for an image of ``pixels`` pixels.
@@ -71,8 +76,7 @@ def plan(spp: int | None, pixels: int) -> Plan:
     """
     if spp is None:
         return Plan(None, _power_of_two(min(_TWO_PACKETS, MAX_PASS_SAMPLES // pixels)))
-    if not isinstance(spp, int) or spp < 1:
-        raise ValueError(f"spp is {spp}: it must be a whole number >= 1")
+    spp = whole("spp", spp, 1)
     pass_spp = _power_of_two(min(spp // MIN_PASSES, MAX_PASS_SAMPLES // pixels))
     if pixels * pass_spp < _LARGE_PASS:
         pass_spp = min(pass_spp, _TWO_PACKETS)
@@ -80,24 +84,28 @@ def plan(spp: int | None, pixels: int) -> Plan:
 
 
 def planned(
-    scene: mi.Scene, spp: int | None = None, sensor: int = 0, *, pass_spp: int | None = None
+    scene: mi.Scene,
+    spp: int | None = None,
+    sensor: int | str | mi.Sensor = 0,
+    *,
+    pass_spp: int | None = None,
 ) -> Plan:
     """The plan by which :func:`render` renders ``spp`` samples per pixel, or the scene's own.
 
     A sampler that rounds its number of samples, such as ``stratified``, changes the pass size.
     ``pass_spp`` chooses it.
     """
-    return plan_for(scene, spp or sampler_of(scene, sensor).sample_count(), sensor, pass_spp)
+    camera = scene.sensors()[sensor_number(scene, sensor)]
+    return plan_for(camera, camera.sampler().sample_count() if spp is None else spp, pass_spp)
 
 
-def plan_for(scene: mi.Scene, spp: int | None, sensor: int, pass_spp: int | None) -> Plan:
-    width, height = scene.sensors()[sensor].film().crop_size()
+def plan_for(camera: Any, spp: int | None, pass_spp: int | None) -> Plan:
+    """The plan for a sensor, with ``spp`` None where time or noise decides."""
+    width, height = camera.film().crop_size()
     wanted = plan(spp, width * height)
     if pass_spp is not None:
-        if not isinstance(pass_spp, int) or pass_spp < 1:
-            raise ValueError(f"pass_spp is {pass_spp}: it must be a whole number >= 1")
-        wanted = Plan(None if spp is None else -(-spp // pass_spp), pass_spp)
-    sampler = sampler_of(scene, sensor)
+        wanted = Plan(None, whole("pass_spp", pass_spp, 1)).for_spp(spp)
+    sampler = camera.sampler()
     before = sampler.sample_count()
     sampler.set_sample_count(wanted.pass_spp)
     size = sampler.sample_count()
@@ -105,8 +113,38 @@ def plan_for(scene: mi.Scene, spp: int | None, sensor: int, pass_spp: int | None
     return Plan(wanted.passes, size)
 
 
-def sampler_of(scene: mi.Scene, sensor: int) -> Any:
-    return scene.sensors()[sensor].sampler()
+def whole(name: str, value: Any, low: int) -> int:
+    """A whole number, NumPy's among them; raises ``ValueError`` unless it is at least ``low``."""
+    try:
+        number = operator.index(value)
+    except TypeError:
+        number = low - 1
+    if number < low:
+        raise ValueError(f"{name} is {value}: it must be a whole number >= {low}")
+    return number
+
+
+def sensor_number(scene: mi.Scene, sensor: int | str | mi.Sensor) -> int:
+    """The number of a sensor that is given by its number, its id or itself."""
+    sensors: list[Any] = scene.sensors()
+    ids = [one.id() for one in sensors]
+    if isinstance(sensor, mi.Sensor):
+        found = [number for number, one in enumerate(sensors) if one is sensor]
+    elif sensor and sensor in ids:
+        found = [ids.index(sensor)]
+    else:
+        try:
+            number = int(sensor) if isinstance(sensor, str) else operator.index(sensor)
+        except (TypeError, ValueError):
+            number = -1
+        found = [number] if 0 <= number < len(sensors) else []
+    if not found:
+        named = ", ".join(f"{n} ({name})" if name else f"{n}" for n, name in enumerate(ids))
+        said = sensor.id() if isinstance(sensor, mi.Sensor) else sensor
+        raise ValueError(
+            f"sensor is {said!r}: it must be one of the scene's: {named or 'it has none'}"
+        )
+    return found[0]
 
 
 def _power_of_two(limit: int) -> int:
@@ -131,7 +169,7 @@ def render_passes(
     plan: Plan,
     seed: int = 0,
     *,
-    sensor: int = 0,
+    sensor: int | str | mi.Sensor = 0,
     integrator: Any = None,
     start: int = 0,
 ) -> Iterator[Array]:
@@ -141,11 +179,11 @@ def render_passes(
     variants. Alpha and other channels of the film are dropped. ``integrator`` is by default the
     scene's.
     """
-    camera = scene.sensors()[sensor]
+    camera = scene.sensors()[sensor_number(scene, sensor)]
     integrator = scene.integrator() if integrator is None else integrator
     film = camera.film()
     colours = film.base_channels_count()
-    of_xyz = _xyz_to_rgb() if re.search(r"pixel_format = xyz", str(film)) else None
+    of_xyz = _xyz_to_rgb() if insides.is_xyz(film) else None
     for number in itertools.count(start) if plan.passes is None else range(start, plan.passes):
         with dr.suspend_grad():
             image = integrator.render(

@@ -6,7 +6,6 @@ import hashlib
 import json
 from collections.abc import Mapping
 from importlib import metadata
-from pathlib import Path
 from typing import Any
 
 import drjit as dr
@@ -15,15 +14,8 @@ import numpy as np
 
 from ..system import insides
 from ..system.version import __version__
-from . import files as scenefiles
 
-__all__ = ["differences", "digest", "of_files", "of_scene", "versions"]
-
-
-def of_files(path: Path, parameters: Mapping[str, str]) -> dict[str, Any]:
-    """Identity of a scene file: its parameters, and checksums of all files that it refers to."""
-    files = scenefiles.collect(path, parameters).digests()
-    return {"parameters": dict(parameters), "files": files}
+__all__ = ["differences", "digest", "of_scene", "versions"]
 
 
 def of_scene(scene: mi.Scene, integrator: Any = None) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Writing files such that the old one stays until the new one is complete and on disk."""
+"""Writing files: the old file stays until the new one is complete and on disk."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ from pathlib import Path
 
 __all__ = ["check_writable", "remove_leftovers", "replacing", "sync_folder", "write_text"]
 
-_RUN = os.urandom(4).hex()  # in a container every run may have the same number of process
+_LEFT_OVER = 86400.0
+"""Seconds after which a temporary file belongs to a process that was killed."""
 
 
 @contextlib.contextmanager
 def replacing(*targets: Path, backup: Path | None = None) -> Iterator[tuple[Path, ...]]:
-    """Give names to write to; at the end of the block these files take the places of ``targets``.
+    """Give temporary names to write to; at the end of the block the files replace ``targets``.
 
     They lie in the same folders, and are forced to disk before they replace anything; ``backup``
     becomes what the first target was before. If the block, or forcing to disk, fails, the targets
@@ -39,58 +40,45 @@ def replacing(*targets: Path, backup: Path | None = None) -> Iterator[tuple[Path
 
 
 def write_text(path: Path, text: str) -> Path:
-    """Write or replace a text file (UTF-8); the path."""
+    """Write or replace a text file (UTF-8); returns the path."""
     with replacing(path) as (aside,):
         aside.write_text(text, encoding="utf-8")
     return path
 
 
-def check_writable(path: Path, *beside: Path) -> None:
-    """Raise ``OSError``, about the output ``path``, unless it and ``beside`` can be written.
+def check_writable(path: Path, *beside: Path, name: str = "output") -> None:
+    """Raise ``OSError`` unless ``path`` and the files ``beside`` it can be written.
 
-    Leaves no trace, and existing files alone.
+    The message calls ``path`` by ``name``. Leaves no trace, and existing files alone.
     """
+    said = f"{name} is {str(path)!r}"
     if not path.parent.is_dir():
-        raise OSError(f"output is {str(path)!r}: its folder {str(path.parent)!r} does not exist")
+        raise OSError(f"{said}: its folder {str(path.parent)!r} does not exist")
     for target in (path, *beside):
         if target.is_dir():
-            what = "it" if target == path else repr(str(target))
-            raise OSError(f"output is {str(path)!r}: {what} is a folder")
+            raise OSError(f"{said}: {'it' if target == path else repr(str(target))} is a folder")
+        aside = _aside(target)
         try:
-            with open(_aside(target), "xb"):
+            with open(aside, "xb"):
                 pass
-            os.unlink(_aside(target))
+            os.unlink(aside)
         except OSError as error:
             raise OSError(
-                f"output is {str(path)!r}: its folder {str(path.parent)!r} must be writable "
-                f"({error.strerror})"
+                f"{said}: its folder {str(path.parent)!r} must be writable ({error.strerror})"
             ) from error
 
 
 def remove_leftovers(*targets: Path) -> None:
-    """Remove what runs that were killed have left beside ``targets``, more than a minute ago."""
+    """Remove temporary files beside ``targets`` that killed runs left more than a day ago."""
     for target in targets:
-        for path in target.parent.glob(f".{glob.escape(target.name)}.*.*.part"):
-            pid, run = path.name.split(".")[-3:-1]
+        for path in target.parent.glob(f".{glob.escape(target.name)}.*.part"):
             with contextlib.suppress(OSError):
-                if time.time() - path.stat().st_mtime > 60 and not _is_running(pid, run):
+                if time.time() - path.stat().st_mtime > _LEFT_OVER:
                     path.unlink()
 
 
-def _is_running(pid: str, run: str) -> bool:
-    try:
-        if int(pid) == os.getpid():
-            return run == _RUN
-        os.kill(int(pid), 0)
-    except ValueError:
-        return True  # not one of ours
-    except ProcessLookupError:
-        return False
-    return True
-
-
 def sync_folder(folder: Path) -> None:
-    """Force the names in a folder to disk, where the system knows of that."""
+    """Force the names in a folder to disk, on systems that can do so."""
     if hasattr(os, "O_DIRECTORY"):
         _sync(folder, os.O_RDONLY | os.O_DIRECTORY)
 
@@ -104,4 +92,4 @@ def _sync(path: Path, flags: int) -> None:
 
 
 def _aside(path: Path) -> Path:
-    return path.with_name(f".{path.name}.{os.getpid()}.{_RUN}.part")
+    return path.with_name(f".{path.name}.{os.urandom(8).hex()}.part")

@@ -1,4 +1,4 @@
-"""Ending a run by Ctrl-C or SIGTERM at a place where nothing is half done."""
+"""Ending a run by Ctrl-C or SIGTERM between two passes."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Stop:
 
 @contextlib.contextmanager
 def stop_signals(immediately: bool = False) -> Iterator[Stop]:
-    """Within the block SIGINT and SIGTERM are noted, for :meth:`Stop.check` to raise later.
+    """Within the block SIGINT and SIGTERM are recorded, for :meth:`Stop.check` to raise later.
 
     A second signal, or the first if ``immediately``, raises at once. (An exception while Dr.Jit
     records a kernel would surface as another one.) Signals that the process ignores stay ignored.
@@ -63,7 +63,7 @@ def stop_signals(immediately: bool = False) -> Iterator[Stop]:
 
 @contextlib.contextmanager
 def sigint_ignored() -> Iterator[None]:
-    """Processes started in here ignore Ctrl-C, which is for the one that they work for."""
+    """Processes started within the block ignore Ctrl-C, which is meant for this one."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

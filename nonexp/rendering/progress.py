@@ -5,10 +5,8 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from ..rendering.targets import Progress
+from .targets import Progress
 
 __all__ = ["bar", "describe", "time"]
 
@@ -41,7 +39,7 @@ def describe(progress: Progress, pixels: int, error: float | None) -> str:
 
 @contextlib.contextmanager
 def bar(name: str, pixels: int, error: float | None) -> Iterator[Callable[[Progress], None]]:
-    """Show progress on stderr, if that is a terminal: call what is given after each pass."""
+    """Show progress on a terminal (stderr) or in Jupyter: call what is given after each pass."""
     from rich.console import Console
     from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
     from rich.progress import Progress as Bar
@@ -53,13 +51,15 @@ def bar(name: str, pixels: int, error: float | None) -> Iterator[Callable[[Progr
         TimeElapsedColumn(),
         TextColumn("{task.fields[state]}", markup=False),
     )
-    with Bar(*columns, console=console, disable=not console.is_terminal) as shown:
-        task = shown.add_task("", total=1.0, state="compiling")
+    shown = console.is_terminal or console.is_jupyter
+    with Bar(*columns, console=console, disable=not shown) as rows:
+        task = rows.add_task("", total=1.0, state="compiling")
 
         def show(progress: Progress) -> None:
             whole = progress.seconds + progress.left
             share = progress.seconds / whole if 0 < whole < math.inf else 0.0
             state = describe(progress, pixels, error)
-            shown.update(task, completed=share, state=state)
+            rows.update(task, completed=share, state=state)
 
         yield show
+        rows.refresh()  # Jupyter would keep the last but one
