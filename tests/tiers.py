@@ -1,0 +1,20 @@
+"""Which tests are quick: all but those marked thorough, which ``pytest --quick`` leaves out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import pytest
+
+THOROUGH = pytest.mark.thorough
+
+
+def thorough(*values: Any) -> list[Any]:
+    """Values of one parameter with which a test is not quick."""
+    return [pytest.param(value, marks=THOROUGH) for value in values]
+
+
+def quick(values: Iterable[Any], chosen: Callable[[Any], bool]) -> list[Any]:
+    """Values of one parameter; with those that are not chosen a test is not quick."""
+    return [value if chosen(value) else pytest.param(value, marks=THOROUGH) for value in values]
