@@ -10,9 +10,9 @@ import pytest
 THOROUGH = pytest.mark.thorough
 
 
-def thorough(*values: Any) -> list[Any]:
-    """Values of one parameter with which a test is not quick."""
-    return [pytest.param(value, marks=THOROUGH) for value in values]
+def thorough(*values: Any, several: bool = False) -> list[Any]:
+    """Values with which a test is not quick, each of one parameter or of ``several``."""
+    return [pytest.param(*(value if several else [value]), marks=THOROUGH) for value in values]
 
 
 def quick(values: Iterable[Any], chosen: Callable[[Any], bool]) -> list[Any]:

@@ -6,7 +6,9 @@ from typing import Any
 
 import drjit as dr
 import numpy as np
+import pytest
 from build import MODELS, model_id
+from tiers import quick
 
 from nonexp import models
 
@@ -186,3 +188,18 @@ KERNELS = ("ff", "fp", "pf", "pp")
 
 def case_id(case: Case) -> str:
     return model_id(case)
+
+
+def _first_of_both() -> set[int]:
+    firsts: dict[Any, int] = {}
+    for position, (key, _) in enumerate(CASES):
+        firsts.setdefault((key, position < len(MODELS)), position)
+    return set(firsts.values())
+
+
+QUICK = _first_of_both()
+"""Positions in CASES of every model's first example and first extreme: the quick ones."""
+
+POSITIONS = quick(range(len(CASES)), QUICK.__contains__)
+
+every_case = pytest.mark.parametrize("position", POSITIONS, ids=map(case_id, CASES))

@@ -114,7 +114,7 @@ class Law:
         return self.sigma_bar * self.pf(tau)
 
     def pf(self, tau: Any) -> Any:
-        return self.fall(1, tau) / self.sigma_bar if tau and self.sigma_bar else mp.one
+        return self.fall(1, tau) / self.sigma_bar if self.sigma_bar else mp.one
 
     def pp(self, tau: Any) -> Any:
         return self.fall(2, tau) / self.sigma_bar if self.sigma_bar else mp.zero
@@ -217,6 +217,9 @@ class DavisWeinstein(Law):
 
     def ff(self, tau: Any) -> Any:
         return exp(-(tau ** (1 - self.B)) / self.C * log1p(self.C * tau**self.B))
+
+    def pf(self, tau: Any) -> Any:
+        return super().pf(tau) if tau else mp.one
 
     def pp(self, tau: Any) -> Any:
         return super().pp(tau) if tau or self.B in (0, 1) else mp.inf

@@ -8,6 +8,7 @@ rounding of values. At a kink the derivative from either side will do.
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 import drjit as dr
@@ -15,13 +16,11 @@ import numpy as np
 import pytest
 from arrays import with_arrays
 from drjit.llvm.ad import Float
-from stability_cases import CASES, case_id
+from stability_cases import CASES, every_case
 from stability_reference import exact, mp, reference
 from stability_values import some, steps_around
 
 from nonexp import models
-
-every_case = pytest.mark.parametrize("position", range(len(CASES)), ids=map(case_id, CASES))
 
 BAR = 1e-4
 SLACK = 1e-6
@@ -113,6 +112,7 @@ def test_derivatives_by_tau(position: int, kernel: str, effort: int) -> None:
     function = getattr(law, kernel)
     value = np.array([float(function(exact(t))) for t in tau])
 
+    @functools.cache
     def by_tau(t: Any) -> Any:
         if t:
             return slopes(lambda shift: function(t * (1 + shift)) / t, law.step)
@@ -156,6 +156,7 @@ def test_derivatives_by_parameters(position: int, effort: int) -> None:
             function = getattr(law, kernel)
             value = np.array([float(function(exact(t))) for t in tau])
 
+            @functools.cache
             def by_parameter(t: Any, kernel: str = kernel, at: Any = at, scale: Any = scale) -> Any:
                 return slopes(lambda shift: getattr(at(shift), kernel)(t), law.step * scale)
 

@@ -13,13 +13,12 @@ from typing import Any
 import numpy as np
 import pytest
 from drjit.llvm.ad import Float, Float64
-from stability_cases import CASES, EXTREMES, KERNELS, case_id
+from stability_cases import CASES, EXTREMES, KERNELS, every_case
 from stability_reference import LAWS, Extinctions, exact, mp
 from stability_values import BAR, compare, narrow, some, wide
 
 from nonexp import models
 
-every_case = pytest.mark.parametrize("position", range(len(CASES)), ids=map(case_id, CASES))
 every_kernel = pytest.mark.parametrize("kernel", KERNELS)
 
 BAR_64 = {"ensemble": 5e-8}
