@@ -245,7 +245,7 @@ MATRIX = list(itertools.product(BOUNDARIES, LIGHTS, LAWS, PHASES, VARIANTS))
 def reduced(number: int) -> bool:
     """A twelfth of the matrix, in which each two values of any two columns meet."""
     b, e, m, p, v = np.unravel_index(number, (3, 2, 4, 2, 3))
-    return bool((b + m) % 3 == v and (e + p + m // 2 + b) % 2 == 0 and (b + e + m) % 2 == 0)
+    return bool((b + m) % 3 == v and (b // 2 + m) % 2 == p and (b + e + m) % 2 == 0)
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:

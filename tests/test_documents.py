@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 import yaml
 from measure import radiance
+from tiers import THOROUGH
 
 from nonexp import __version__, cli, models
 from nonexp.scene import load as scenefile
@@ -227,6 +228,7 @@ def test_example_runs(
     assert capsys.readouterr().out
 
 
+@THOROUGH
 def test_documentation_builds_without_a_warning(tmp_path: Path) -> None:
     """All pages and notebooks, the latter not executed: tests/test_notebooks.py does that."""
     command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-c", "docs"]

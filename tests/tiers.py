@@ -15,6 +15,6 @@ def thorough(*values: Any, several: bool = False) -> list[Any]:
     return [pytest.param(*(value if several else [value]), marks=THOROUGH) for value in values]
 
 
-def quick(values: Iterable[Any], chosen: Callable[[Any], bool]) -> list[Any]:
-    """Values of one parameter; with those that are not chosen a test is not quick."""
-    return [value if chosen(value) else pytest.param(value, marks=THOROUGH) for value in values]
+def quick(values: Iterable[Any], chosen: Callable[[Any], bool], several: bool = False) -> list[Any]:
+    """Values of which only the chosen ones make a quick test."""
+    return [v if chosen(v) else thorough(v, several=several)[0] for v in values]
