@@ -38,7 +38,7 @@ from build import (
     stock,
 )
 from drjit.llvm import Float64
-from measure import FALSE_ALARM, assert_mean, assert_same, passes, radiance
+from measure import assert_mean, assert_same, assert_share, passes, radiance
 from scipy import stats
 from tiers import THOROUGH, quick, thorough
 
@@ -96,10 +96,7 @@ def test_share_of_light_that_crosses_is_ff(case: Case) -> None:
     for depth in (0.15 * unit(model), 0.8 * unit(model)):
         inside = medium(*case, sigma_t=depth / 2, albedo=0.0)
         samples = radiance(scene(sensor=beam(), ball=ball(inside), sky=FURNACE), 2**18, 3)
-        assert set(np.unique(samples)) <= {0.0, 1.0}
-        crossing = int(samples.sum())
-        expected = min(float(model.ff(depth)), 1.0)
-        assert stats.binomtest(crossing, samples.size, expected).pvalue > FALSE_ALARM
+        assert_share(samples, float(model.ff(depth)))
 
 
 @on_few_laws
@@ -328,9 +325,11 @@ def test_derivative_by_albedo_also_through_roulette(rr_depth: int) -> None:
     parameters.update()
     image = mi.render(built, parameters, spp=2048, seed=51)
     dr.forward(parameters[key])
-    slopes = np.array(dr.grad(image)).ravel()
+    slopes = np.array(dr.grad(image)).mean(axis=2).ravel()
     assert np.all(np.isfinite(slopes))
-    assert abs(slopes.mean() / expected.mean() - 1) < 0.03
+    # Pixels differ, so that their spread is no less than the error of the mean.
+    error = np.hypot(stats.sem(slopes), stats.sem(expected.ravel()))
+    assert abs(slopes.mean() - expected.mean()) < 5 * error
 
 
 # ----------------------------------------------------------------------------- diffusive transport
@@ -632,11 +631,10 @@ def test_a_hidden_emitter_in_the_medium_hides_nothing(case: Case) -> None:
     )
     arrive = float(model.ff(depth))
     samples = radiance(built, 2**17, 31)
-    shown = samples[samples > 0]
     # The wall connects to one of two emitters, and finds the lamp's back half of the time.
-    assert stats.binomtest(shown.size, samples.size, arrive / 2).pvalue > FALSE_ALARM
+    assert_share((samples > 0).astype(float), arrive / 2)
     expected = 2 * 0.5 / math.pi * 0.5**-2 * float(model.ff(depth / 6))
-    np.testing.assert_allclose(shown, expected, rtol=1e-4)
+    np.testing.assert_allclose(samples[samples > 0], expected, rtol=1e-4)
 
 
 # ------------------------------------------------------------------------------- several media

@@ -13,12 +13,13 @@ import drjit as dr
 import numpy as np
 import pytest
 from arrays import with_arrays
-from build import MODELS, law, model_id
+from build import MODELS, QUICK, law, model_id
 from drjit.llvm.ad import Float, Float64
+from tiers import quick
 
 from nonexp.transmittance import Transmittance
 
-every_model = pytest.mark.parametrize("case", MODELS, ids=model_id)
+every_model = pytest.mark.parametrize("case", quick(MODELS, QUICK.__contains__), ids=model_id)
 
 
 def reach(model: Transmittance) -> float:

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from build import FURNACE, ball, medium, perspective, scene, stock
 from measure import assert_same, passes, radiance
+from scipy.stats import sem
 from test_refractive import glass, mesh_ball, round_ball, sky
 from test_scene_needs import assert_can_be_frozen, traced
 from tiers import THOROUGH, quick, thorough
@@ -356,7 +357,11 @@ SINGLE = 3
 
 def assert_near(a: Any, b: Any) -> None:
     """Within 3 %, and 6 % for each block: for a part of the light chance must find another way
-    through the glass than connections do, and hardly ever does where the lamp is tiny."""
+    through the glass than connections do, and hardly ever does where the lamp is tiny. Standard
+    errors are a fifth of these bounds at most."""
+    for axis, bound in (((0,), 0.006), ((), 0.012)):
+        error = np.hypot(*(sem(v.mean(axis=axis), axis=-1) for v in (a, b)))
+        assert np.all(error < bound * a.mean()), np.max(error / a.mean())
     assert min(a.mean(), b.mean()) > 0.01
     assert a.mean() == pytest.approx(b.mean(), rel=0.03)
     np.testing.assert_allclose(a.mean(axis=1), b.mean(axis=1), rtol=0.06)
