@@ -372,8 +372,8 @@ def test_a_point_is_a_tiny_lamp(law: str, effort: int) -> None:
     where, radius = [0.7, 1.9, 0.6], 0.02
     point = {"type": "point", "position": where, "intensity": 3.0}
     tiny = bulb(where, radius, 3.0 / (np.pi * radius**2))
-    a = image(128 * effort, 1, "on", {**shadowed(law), "lamp": point}, max_depth=SINGLE)
-    b = image(128 * effort, 2, "on", {**shadowed(law), "lamp": tiny}, max_depth=SINGLE)
+    a = image(512 * effort, 1, "on", {**shadowed(law), "lamp": point}, max_depth=SINGLE)
+    b = image(512 * effort, 2, "on", {**shadowed(law), "lamp": tiny}, max_depth=SINGLE)
     assert_near(a, b)
 
 
