@@ -16,6 +16,7 @@ from drjit.llvm.ad import PCG32, Float, Float64
 from measure import FALSE_ALARM, assert_share, radiance
 from scipy import stats
 from stability_reference import exact, reference
+from tiers import quick
 
 from nonexp.models import create, to_dict
 from nonexp.models.ensemble import Ensemble
@@ -46,7 +47,8 @@ CASES: dict[str, dict[str, Any]] = {
     "steps": {"sigma": (1, 0.125, 1e-6), "weight": (1, 1e-9, 1e-20)},
     "many": {"sigma": tuple(np.linspace(0.25, 4, 999)), "weight": (1,) * 999},
 }
-every_case = pytest.mark.parametrize("name", CASES)
+QUICK = {"gamma 2", "pareto, E[S^2] infinite", "lognorm 2", "poisson", "clear part"}
+every_case = pytest.mark.parametrize("name", quick(CASES, QUICK.__contains__))
 
 
 @cache
