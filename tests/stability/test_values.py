@@ -50,7 +50,9 @@ def test_references_are_laws(position: int) -> None:
             here = density(tau)
             assert abs(fall / (2 * step * tau) - here) <= error * here + mp.mpf(10) ** -30
     if not isinstance(law, Extinctions):  # they know P(S = 0)
-        assert abs(law.ff(mp.mpf(10) ** 60000) - law.end) < 1e-5
+        far, half_way = (law.ff(mp.mpf(10) ** power) for power in (60000, 30000))
+        # Tails as heavy as tau^-1e-6 have still not arrived.
+        assert abs(far - law.end) < 1e-5 or far < 0.99 * half_way
 
 
 def masses(atoms: Any) -> Any:
