@@ -2,8 +2,8 @@
 
 Of ff, pf, pp and the logarithms of the last two, by tau and by every parameter of every model that
 has derivatives, also those of its components. The bar is 1e-4 |derivative| + 1e-6 |value/parameter|
-(for a parameter that is 0, 1e-6 of the largest value at any depth, over a mean flight below 1); the second part is the
-rounding of values. At a kink the derivative from either side will do.
+(for a parameter that is 0, 1e-6 of the largest value at any depth, over a mean flight below 1); the
+second part is the rounding of values. At a kink the derivative from either side will do.
 """
 
 from __future__ import annotations
