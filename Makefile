@@ -2,12 +2,13 @@
 
 NONEXP = .venv/bin/nonexp
 
-.PHONY: help dragon test test-slow bench lint docs gallery clean
+.PHONY: help dragon test test-all test-slow bench lint docs gallery clean
 
 help:
 	@echo 'make dragon     render scenes/dragon.xml to out/dragon.exr and out/dragon.png'
-	@echo 'make test       lint, types and tests'
-	@echo 'make test-slow  tests with full-size statistics'
+	@echo 'make test       lint, types and the quick tests: all but those marked thorough (4 minutes)'
+	@echo 'make test-all   all tests (15 minutes)'
+	@echo 'make test-slow  all tests with full statistics (hours)'
 	@echo 'make bench      run time against error beside Mitsuba, into docs/benchmarks (13 minutes)'
 	@echo 'make lint       lint and types only'
 	@echo 'make docs       documentation, notebooks executed, in out/docs/docs/index.html'
@@ -22,6 +23,9 @@ dragon: .venv/.installed
 	$(NONEXP) render scenes/dragon.xml -o out/dragon.exr
 
 test: lint
+	.venv/bin/python -m pytest --quick
+
+test-all: .venv/.installed
 	.venv/bin/python -m pytest
 
 test-slow: .venv/.installed

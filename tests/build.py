@@ -48,6 +48,10 @@ RENDERED = _one_of_each_kind(MODELS)
 """Those that are rendered without --full: each model, and each kind of law that it can be."""
 
 
+QUICK = list({case[0]: case for case in RENDERED}.values())
+"""Those that are rendered with --quick: one of each model, and of each the last kind."""
+
+
 def model_id(case: Case) -> str:
     key, parameters = case
     return "-".join([key, *(f"{k}={_brief(v)}" for k, v in parameters.items())])

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from build import ball, perspective, scene, stock
 from measure import assert_same, passes
+from tiers import THOROUGH, quick, thorough
 
 GRID = 6
 
@@ -170,7 +171,7 @@ POWER = {
 }
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", quick(CASES, {"null-area", "dielectric-constant"}.__contains__))
 def test_same_image_as_volpath(case: str, effort: int) -> None:
     within = POWER.get(case, 0.012) / effort**0.5
     # Mitsuba has no way to find a point light through glass.
@@ -178,6 +179,7 @@ def test_same_image_as_volpath(case: str, effort: int) -> None:
     assert_same(*both(CASES[case], 1024 * effort, refractive_nee=nee), within)
 
 
+@THOROUGH
 def test_stock_media_beside_ours_render_as_they_are(effort: int) -> None:
     ours = scene("nonexp_volpath", **nested(drop_in, stock))
     theirs = scene("volpath", **nested(stock, stock))
@@ -185,6 +187,7 @@ def test_stock_media_beside_ours_render_as_they_are(effort: int) -> None:
     assert_same(a, b, POWER["nested"] / effort**0.5)
 
 
+@THOROUGH
 def test_stock_media_alone_render_as_they_are(effort: int) -> None:
     ours = scene("nonexp_volpath", **lobe(stock, "null", "area"))
     theirs = scene("volpath", **lobe(stock, "null", "area"))
@@ -192,7 +195,7 @@ def test_stock_media_alone_render_as_they_are(effort: int) -> None:
     assert_same(a, b, 0.012 / effort**0.5)
 
 
-@pytest.mark.parametrize("depth", [0, 1, 2, 3])
+@pytest.mark.parametrize("depth", [*thorough(0, 1), 2, *thorough(3)])
 @pytest.mark.parametrize("hide", [False, True], ids=["shown", "hidden"])
 def test_depth_and_hidden_emitters_as_mitsuba_counts_them(depth: int, hide: bool) -> None:
     """Seen from below, so that the lamp stands before the sky and above the fog."""
@@ -208,6 +211,7 @@ def test_depth_and_hidden_emitters_as_mitsuba_counts_them(depth: int, hide: bool
     assert_same(a, b, 0.02)
 
 
+@THOROUGH
 @pytest.mark.parametrize("case", ["null-area", "dielectric-constant", "camera inside, area"])
 @pytest.mark.parametrize("variant", ["llvm_ad_mono", "llvm_ad_spectral"], indirect=True)
 def test_same_image_in_other_variants(variant: str, case: str) -> None:
@@ -215,8 +219,8 @@ def test_same_image_in_other_variants(variant: str, case: str) -> None:
     assert_same(*both(CASES[case], 1024), within)
 
 
-@pytest.mark.parametrize("far", [3.5, 4.2, 1e4])
-@pytest.mark.parametrize("where", ["null-constant", "camera inside, area"])
+@pytest.mark.parametrize("far", [*thorough(3.5), 4.2, *thorough(1e4)])
+@pytest.mark.parametrize("where", ["null-constant", *thorough("camera inside, area")])
 def test_far_clip_as_mitsuba_takes_it(where: str, far: float) -> None:
     def build(make: Callable[..., Any]) -> dict[str, Any]:
         parts = CASES[where](make)
@@ -227,7 +231,9 @@ def test_far_clip_as_mitsuba_takes_it(where: str, far: float) -> None:
 
 
 @pytest.mark.parametrize("hide", [False, True], ids=["shown", "hidden"])
-@pytest.mark.parametrize("bsdf", ["diffuse", "plastic", "roughconductor", "dielectric", "null"])
+@pytest.mark.parametrize(
+    "bsdf", [*thorough("diffuse", "plastic", "roughconductor", "dielectric"), "null"]
+)
 def test_alpha_as_mitsuba_counts_it(bsdf: str, hide: bool) -> None:
     """Also on the back of one-sided surfaces, which scatter nothing."""
 
@@ -245,10 +251,11 @@ def test_alpha_as_mitsuba_counts_it(bsdf: str, hide: bool) -> None:
     ours, theirs = opacity(drop_in, "nonexp_volpath"), opacity(stock, "volpath")
     both = (ours + theirs) / 2
     error = np.sqrt((both * (1 - both) + 1e-6) / 1024 * 2)
-    assert np.max(np.abs(ours - theirs) / error) < 5.5  # 5 sigma over 256 pixels: 1e-5
+    # 5.5 sigma over 256 pixels: 1e-5. Finds a pixel's alpha off by 0.15, on edges too.
+    assert np.max(np.abs(ours - theirs) / error) < 5.5
 
 
-@pytest.mark.parametrize("phase", ["isotropic", "rayleigh", "hg", "blendphase"])
+@pytest.mark.parametrize("phase", [*thorough("isotropic", "rayleigh", "hg"), "blendphase"])
 def test_phase_functions(phase: str) -> None:
     given: dict[str, Any] = {"type": phase}
     if phase == "hg":

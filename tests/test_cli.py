@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import OpenEXR
 import pytest
+from tiers import thorough
 
 import nonexp
 from nonexp import __version__, cli, fitting, models, rendering
@@ -588,7 +589,7 @@ def test_fit_prints_parameters_with_errors_and_the_xml(command: Command, data: s
     )
 
 
-@pytest.mark.parametrize("chosen", [("linear", "gamma", "exponential"), ("all",), ()])
+@pytest.mark.parametrize("chosen", [("linear", "gamma", "exponential"), *thorough(("all",), ())])
 def test_fit_compares_models_best_first(command: Command, chosen: tuple[str, ...]) -> None:
     options = [word for name in chosen for word in ("--model", name)]
     code, out, err = command("fit", "data.csv", *options, "--fix", "b=3")
@@ -630,9 +631,12 @@ def test_fit_draws_the_result(command: Command, tmp_path: Path) -> None:
     ("arguments", "written"),
     [
         (["gamma"], "gamma.png"),
-        (["gamma", "alpha=0.5", "-o", "old.png"], "old.png"),
-        (["exponential_mixture", "sigma=0.2,1.8", "-o", "figure.svg"], "figure.svg"),
-        (["erlang", "k=3", "-o", "figure.pdf"], "figure.pdf"),
+        *thorough(
+            (["gamma", "alpha=0.5", "-o", "old.png"], "old.png"),
+            (["exponential_mixture", "sigma=0.2,1.8", "-o", "figure.svg"], "figure.svg"),
+            (["erlang", "k=3", "-o", "figure.pdf"], "figure.pdf"),
+            several=True,
+        ),
         (["custom", "ff=nonexp.models.custom:wigner"], "custom.png"),
     ],
 )

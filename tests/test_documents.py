@@ -11,14 +11,17 @@ import shlex
 import subprocess
 import sys
 import types
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import mitsuba as mi
 import numpy as np
 import pytest
 import yaml
 from measure import radiance
+from tiers import THOROUGH
 
 from nonexp import __version__, cli, models
 from nonexp.scene.load import load
@@ -44,18 +47,18 @@ INTRODUCED = {"plan": "nonexp.rendering", "Competitor": "nonexp.bench.competitor
 
 
 @pytest.fixture
-def desk(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> dict[str, Any]:
+def desk(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[dict[str, Any]]:
     """Names of a module in which a snippet runs, in a folder that looks like the repository's root
     but may be written to; models that it registers are forgotten."""
     module = types.ModuleType("snippet")
     monkeypatch.setitem(sys.modules, "snippet", module)
-    monkeypatch.setattr(models, "registry", dict(models.registry))
     for folder in ("scenes", "examples"):
         (tmp_path / folder).symlink_to(ROOT / folder)
     monkeypatch.chdir(tmp_path)
     for name, where in INTRODUCED.items():
         vars(module)[name] = getattr(importlib.import_module(where), name)
-    return vars(module)
+    with mock.patch.dict(models.registry):
+        yield vars(module)
 
 
 def in_a_scene(part: Any) -> dict[str, Any]:
@@ -227,6 +230,7 @@ def test_example_runs(
     assert capsys.readouterr().out
 
 
+@THOROUGH
 def test_documentation_builds_without_a_warning(tmp_path: Path) -> None:
     """All pages and notebooks, the latter not executed: tests/test_notebooks.py does that."""
     command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-c", "docs"]

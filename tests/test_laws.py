@@ -16,14 +16,15 @@ import drjit as dr
 import numpy as np
 import pytest
 from arrays import with_arrays
-from build import MODELS, law, model_id
+from build import MODELS, QUICK, law, model_id
 from drjit.llvm.ad import PCG32, Float, Float64
+from tiers import quick
 
 from nonexp.numerics.lookup import tables_in
 from nonexp.transmittance import Transmittance
 from nonexp.transmittance.kinds import parameters_of
 
-every_model = pytest.mark.parametrize("case", MODELS, ids=model_id)
+every_model = pytest.mark.parametrize("case", quick(MODELS, QUICK.__contains__), ids=model_id)
 
 
 def reach(model: Transmittance) -> float:

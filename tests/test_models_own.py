@@ -17,6 +17,7 @@ import test_exact
 import test_laws
 from measure import FALSE_ALARM, radiance
 from scipy import stats
+from tiers import THOROUGH
 
 import nonexp
 from nonexp import models
@@ -85,6 +86,7 @@ def test_it_obeys_every_law(
     test(("half_logistic", parameters), **given)
 
 
+@THOROUGH
 @pytest.mark.parametrize(("test", "given"), laws(test_exact))
 def test_it_renders_as_exactly_as_the_others(
     test: Callable[..., None], given: dict[str, Any]

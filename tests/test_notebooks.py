@@ -8,6 +8,7 @@ import nbformat
 import pytest
 from nbclient import NotebookClient
 from nbclient.exceptions import CellTimeoutError
+from tiers import THOROUGH
 
 ROOT = Path(__file__).resolve().parent.parent
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
@@ -35,6 +36,7 @@ def executed(path: Path, seconds: float) -> nbformat.NotebookNode:
     return notebook
 
 
+@THOROUGH
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_notebook_runs(path: Path, effort: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """In a kernel of its own, in its folder; a warning of ours or NumPy's is an error."""

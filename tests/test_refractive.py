@@ -19,6 +19,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from build import scene
+from tiers import THOROUGH, quick, thorough
 
 from nonexp.integrators.needs import SceneNeeds
 from nonexp.integrators.rays import Subscenes
@@ -258,8 +259,8 @@ def refracted(meet: Any, x: Any, w: Any) -> tuple[Any, Any]:
     return p, tangential + np.sqrt(np.maximum(1 - square, 0)) * n
 
 
-@pytest.mark.parametrize("infinite", [False, True], ids=["near", "at infinity"])
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("infinite", [False, *thorough(True)], ids=["near", "at infinity"])
+@pytest.mark.parametrize("name", quick(CASES, {"sphere", "mesh with UVs"}.__contains__))
 def test_crossings(name: str, infinite: bool) -> None:
     """On the surface, as Snell says, leading to the target; ``spread`` is a ratio of angles."""
     case = CASES[name]
@@ -393,8 +394,8 @@ def sky() -> dict[str, Any]:
 POINTS = [[0, 0, 0], [0.2, 0.3, 0.1], [0.7, 0.1, 0.1], [-0.4, 0.6, 0.2]]
 
 
-@pytest.mark.parametrize("light", ["panel", "bulb", "sky"])
-@pytest.mark.parametrize("kind", ["sphere", "mesh with UVs"])
+@pytest.mark.parametrize("light", ["panel", *thorough("bulb", "sky")])
+@pytest.mark.parametrize("kind", ["sphere", *thorough("mesh with UVs")])
 def test_connections_estimate_what_rays_find(kind: str, light: str, effort: int) -> None:
     """Integrals over the emitter and over directions agree, of light that a search would find.
 
@@ -431,6 +432,7 @@ def test_connections_estimate_what_rays_find(kind: str, light: str, effort: int)
     assert np.max(np.abs(scores)) < 5, scores
 
 
+@THOROUGH
 def test_searches_find_what_ordinary_paths_do() -> None:
     """From x in the ball, light met through p, in the dragon's room: 99 % of the searches from x
     to there find a way, 95 % the same one. (There may be several, the more the farther from the
@@ -495,6 +497,7 @@ def test_whatever_is_asked_ends_in_numbers(eta: float, radius: float) -> None:
         assert np.all(np.sum(w * n, 1) > 0) and np.all(np.sum(o * n, 1) > 0)
 
 
+@THOROUGH
 def test_the_search_takes_no_more_steps_than_it_may() -> None:
     """Kernels launched where each step is one: a mesh far from round keeps searches busy."""
     g = search(a=mesh_ball(glass(2.4), to_world=PLACE.scale([3, 0.2, 1])))

@@ -14,6 +14,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from tiers import THOROUGH
 
 import nonexp
 from nonexp import rendering
@@ -163,6 +164,7 @@ def test_the_mean_is_the_mean_of_the_passes() -> None:
     assert 0 < seen[0].seconds <= seen[-1].seconds <= image.seconds
 
 
+@THOROUGH
 def test_stderr_is_the_spread_of_repeated_renders() -> None:
     """Mean square of stderr against the variance of 100 renders, over all pixels that have noise.
 

@@ -15,7 +15,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from build import FURNACE, ball, box, medium, perspective, scene, stock
-from measure import radiance
+from measure import largest_kernel, radiance
 
 from nonexp import models
 from nonexp.integrators import rays
@@ -126,11 +126,7 @@ class Kernel:
 
 
 def traced(built: Any) -> Kernel:
-    with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
-        dr.kernel_history_clear()
-        radiance(built, 16, 1)
-        kernels = dr.kernel_history([dr.KernelType.JIT])
-    largest = max(kernels, key=lambda k: k["operation_count"])
+    largest = largest_kernel(lambda: radiance(built, 16, 1))
     program = largest["ir"].getvalue()
     return Kernel(
         largest["operation_count"],
@@ -192,17 +188,12 @@ def test_parameters_do_not_change_the_kernel() -> None:
         lamp=LAMP,
     )
     parameters = mi.traverse(built)
-    with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
-        dr.kernel_history_clear()
-        hashes = set()
-        for alpha in (2.0, 3.0, 0.7):
-            parameters["ball.interior_medium.transmittance.alpha"] = alpha
-            parameters["ball.interior_medium.sigma_t.value.value"] = alpha
-            parameters.update()
-            dr.kernel_history_clear()
-            radiance(built, 16, 1)
-            kernels = dr.kernel_history([dr.KernelType.JIT])
-            hashes.add(max(kernels, key=lambda k: k["operation_count"])["hash"])
+    hashes = set()
+    for alpha in (2.0, 3.0, 0.7):
+        parameters["ball.interior_medium.transmittance.alpha"] = alpha
+        parameters["ball.interior_medium.sigma_t.value.value"] = alpha
+        parameters.update()
+        hashes.add(largest_kernel(lambda: radiance(built, 16, 1))["hash"])
     assert len(hashes) == 1
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from build import FURNACE, LAMP, ball, beam, medium, perspective, scene, stock
 from measure import assert_mean, assert_same, passes
+from tiers import THOROUGH, thorough
 
 from nonexp import models
 
@@ -42,16 +43,18 @@ def parts(inside: Any, boundary: str = "null") -> dict[str, Any]:
     return {"sensor": camera, "ball": ball(inside, boundary), "lamp": LAMP, "sky": FURNACE}
 
 
-@pytest.mark.parametrize("boundary", ["null", "dielectric"])
+@pytest.mark.parametrize("boundary", ["null", *thorough("dielectric")])
 @pytest.mark.parametrize(
     "inside",
     [
         cloud(),
-        cloud(sample_emitters=False, phase={"type": "hg", "g": 0.6}),
-        cloud(sigma_t=grid(half=0.5)),
-        cloud(phase=flakes(*ANISOTROPIC)),
-        stock(sigma_t=2.0, albedo=RGB, phase=flakes(*ANISOTROPIC)),
-        stock(sigma_t=2.0, albedo=grid()),
+        *thorough(
+            cloud(sample_emitters=False, phase={"type": "hg", "g": 0.6}),
+            cloud(sigma_t=grid(half=0.5)),
+            cloud(phase=flakes(*ANISOTROPIC)),
+            stock(sigma_t=2.0, albedo=RGB, phase=flakes(*ANISOTROPIC)),
+            stock(sigma_t=2.0, albedo=grid()),
+        ),
     ],
     ids=[
         "grid",
@@ -71,6 +74,7 @@ def test_grey_media_against_volpath(inside: Any, boundary: str) -> None:
     assert_same(passes(scene(integrator, **parts(inside, boundary)), 2**11, 2, 3), right, 0.05)
 
 
+@THOROUGH
 @pytest.mark.parametrize("variant", ["llvm_ad_rgb", "llvm_ad_spectral"], indirect=True)
 @pytest.mark.parametrize("boundary", ["null", "dielectric"])
 def test_coloured_grids_against_volpathmis(variant: str, boundary: str) -> None:
@@ -79,7 +83,7 @@ def test_coloured_grids_against_volpathmis(variant: str, boundary: str) -> None:
     assert_same(passes(scene(**parts(inside, boundary)), 2**12, 2), right, 0.05)
 
 
-@pytest.mark.parametrize("boundary", ["null", "dielectric"])
+@pytest.mark.parametrize("boundary", ["null", *thorough("dielectric")])
 def test_a_constant_grid_is_a_homogeneous_medium(boundary: str) -> None:
     for value in ([0.6], [0.8, 0.5, 0.1]):
         sigma_t = {"type": "rgb", "value": value} if len(value) == 3 else value[0]
@@ -91,6 +95,7 @@ def test_a_constant_grid_is_a_homogeneous_medium(boundary: str) -> None:
             assert_same(got, right, 0.05)
 
 
+@THOROUGH
 def test_an_invisible_surface_in_a_coloured_cloud_changes_nothing() -> None:
     ref = {"type": "ref", "id": "cloud"}
     place = mi.ScalarTransform4f().translate([0, 0, 0.2]).scale(0.6)
@@ -105,6 +110,7 @@ def test_an_invisible_surface_in_a_coloured_cloud_changes_nothing() -> None:
         assert_same(passes(halves, 2**11, 2, channel=channel), right, 0.05)
 
 
+@THOROUGH
 def test_grid_and_own_media_in_one_scene() -> None:
     """A cloud, a microflake ball and a glass ball, all exponential, in fog: several at once."""
 
@@ -133,7 +139,7 @@ def test_grid_and_own_media_in_one_scene() -> None:
     assert_same(passes(ours, 2**11, 2, 3), right, 0.05)
 
 
-@pytest.mark.parametrize("law", ["exponential", "linear", "quadratic", "gamma"])
+@pytest.mark.parametrize("law", [*thorough("exponential", "linear", "quadratic"), "gamma"])
 def test_microflakes_scale_extinction_by_their_projected_area(law: str) -> None:
     """Along z the projected area is the root of S_zz, whatever the law."""
     inside = medium(law, sigma_t=1.0, albedo=0.0, phase=flakes(0.9, 0.5, 0.16, 0, 0, 0))
@@ -142,6 +148,7 @@ def test_microflakes_scale_extinction_by_their_projected_area(law: str) -> None:
     assert_mean(got, float(expected), 0.05)
 
 
+@THOROUGH
 def test_microflakes_of_one_channel_each() -> None:
     """volpathmis is 1 % off here; grey renders of each channel are the reference."""
     for channel, sigma_t in ((0, 0.9), (2, 0.2)):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import importlib
 import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -154,5 +155,11 @@ def load(
         note(
             f"warning: integrator {counterpart} shows its exponential counterpart "
             "(the scene holds a nonexp medium): use nonexp_volpath to see its own transmittance"
+        )
+    needs = importlib.import_module("nonexp.integrators.needs")
+    for sensor, medium in needs.forgotten_media(loaded.scene):
+        note(
+            f"warning: sensor {sensor.id()!r} stands in the medium {medium.id()!r} without "
+            "referring to it: its rays start in vacuum"
         )
     return loaded

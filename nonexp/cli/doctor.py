@@ -30,5 +30,7 @@ def doctor() -> int:
     if not report.variants:
         print("This machine cannot render.")
         return 2
-    print(f"This machine can render, by default with {machine.choose_variant(report.gpu)}.")
+    print(
+        f"This machine can render, by default with {machine.choose_variant(report.gpu, report.variants)}."
+    )
     return 0

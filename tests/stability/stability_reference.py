@@ -14,15 +14,14 @@ from collections.abc import Callable
 from typing import Any
 
 import drjit as dr
-import mpmath
 import numpy as np
+from stability_series import Series, erfc, exp, log1p, mp
 
 from nonexp import models, parameters
 from nonexp.transmittance import Transmittance
 
-mp = mpmath.mp.clone()
-"""Arithmetic of the references. Differences with steps of 1e-20 keep 20 digits and more."""
-mp.dps = 60
+Moments = Callable[[int, Any], Any]
+"""E[X^k exp(-X tau)] of (k, tau), X >= 0"""
 
 LAWS: dict[str, type[Law]] = {}
 """Reference of every model, by key."""
@@ -87,9 +86,11 @@ def collected(model: Transmittance, changes: dict[str, Any]) -> dict[str, Any]:
 
 
 class Law:
-    """ff, pf and pp (less atoms) at ``tau`` >= 0, sigma_bar, and where a density jumps.
+    """``ff``, ``pf`` and ``pp`` (less atoms) at ``tau`` >= 0, sigma_bar, and where a density jumps.
 
-    At a kink the functions are the limits from the right.
+    A law defines T = ``ff``, of numbers and of series, and its mean extinction; the other functions
+    are derivatives of T, unless a law knows another formula for them. At a kink the functions are
+    the limits from the right.
     """
 
     sigma_bar: Any = mp.one
@@ -98,7 +99,7 @@ class Law:
     singular: bool = False
     """At tau = 0 derivatives, or differences that would show them, do not exist."""
     step: Any = mp.mpf(10) ** -20
-    """Relative step of differences"""
+    """Relative step of differences that tests may take"""
     kinks: tuple[Any, ...] = ()
     atoms: tuple[tuple[Any, Any], ...] = ()
 
@@ -113,18 +114,23 @@ class Law:
         return self.sigma_bar * self.pf(tau)
 
     def pf(self, tau: Any) -> Any:
-        raise NotImplementedError
+        return self.fall(1, tau) / self.sigma_bar if self.sigma_bar else mp.one
 
     def pp(self, tau: Any) -> Any:
-        raise NotImplementedError
+        return self.fall(2, tau) / self.sigma_bar if self.sigma_bar else mp.zero
+
+    def fall(self, order: int, tau: Any) -> Any:
+        """(-d/dtau)^order T, right of ``tau``."""
+        found = self.ff(Series.variable(tau, order))
+        if not isinstance(found, Series):  # constant there
+            return mp.zero
+        return (-1) ** order * mp.factorial(order) * found.of[order]
 
 
 @law("exponential")
 class Exponential(Law):
     def ff(self, tau: Any) -> Any:
-        return mp.exp(-tau)
-
-    pf = pp = ff
+        return exp(-tau)
 
 
 @law("constant")
@@ -134,12 +140,6 @@ class Constant(Law):
 
     def ff(self, tau: Any) -> Any:
         return mp.one
-
-    def pf(self, tau: Any) -> Any:
-        return mp.one
-
-    def pp(self, tau: Any) -> Any:
-        return mp.zero
 
 
 @law("power")
@@ -152,14 +152,6 @@ class Power(Law):
 
     def ff(self, tau: Any) -> Any:
         return (1 - tau / self.b) ** self.n if tau < self.b else mp.zero
-
-    def pf(self, tau: Any) -> Any:
-        return (1 - tau / self.b) ** (self.n - 1) if tau < self.b else mp.zero
-
-    def pp(self, tau: Any) -> Any:
-        if tau >= self.b or self.n == 1:
-            return mp.zero
-        return (self.n - 1) / self.b * (1 - tau / self.b) ** (self.n - 2)
 
 
 @law("linear")
@@ -182,29 +174,26 @@ class Gamma(Law):
     def ff(self, tau: Any) -> Any:
         return (1 + tau / self.alpha) ** -self.alpha
 
-    def pf(self, tau: Any) -> Any:
-        return (1 + tau / self.alpha) ** -(self.alpha + 1)
-
-    def pp(self, tau: Any) -> Any:
-        return (1 + 1 / self.alpha) * (1 + tau / self.alpha) ** -(self.alpha + 2)
-
 
 @law("erlang")
 class Erlang(Law):
+    """Flights from a particle are the sum of k exponential ones, so that pf is Q(k, rate tau).
+
+    By the regularised incomplete gamma function Q in ``ff``, and by its finite sum in ``pf``.
+    """
+
     def __init__(self, k: int, rate: Any) -> None:
         self.k, self.rate = k, rate
         self.sigma_bar = rate / k
 
-    def upper(self, k: int, x: Any) -> Any:
-        """Regularised incomplete gamma function Q(k, x)."""
-        return mp.gammainc(k, x, mp.inf, regularized=True) if x else mp.one
-
     def ff(self, tau: Any) -> Any:
         x = self.rate * tau
-        return self.upper(self.k + 1, x) - x / self.k * self.upper(self.k, x)
+        upper = [mp.gammainc(k, x, regularized=True) for k in (self.k + 1, self.k)]
+        return upper[0] - x / self.k * upper[1] if x else mp.one
 
     def pf(self, tau: Any) -> Any:
-        return self.upper(self.k, self.rate * tau)
+        x = self.rate * tau
+        return mp.exp(-x) * mp.fsum(x**i / mp.factorial(i) for i in range(self.k))
 
     def pp(self, tau: Any) -> Any:
         x = self.rate * tau
@@ -213,10 +202,7 @@ class Erlang(Law):
 
 @law("davis_weinstein")
 class DavisWeinstein(Law):
-    """T = exp(-P L), P = tau^(1-B)/C, L = ln(1 + C tau^B), differentiated by the product rule.
-
-    At h = 1/2 sigma_bar jumps; it does not where the parameter is only shifted there.
-    """
+    """At h = 1/2 sigma_bar jumps; it does not where the parameter is only shifted there."""
 
     singular = True
 
@@ -229,30 +215,14 @@ class DavisWeinstein(Law):
     def of(cls, model: Transmittance, changes: dict[str, Any]) -> Law:
         return cls(**collected(model, changes), white=exact(model.h) == 0.5)  # type: ignore[attr-defined]
 
-    def derivatives(self, tau: Any) -> tuple[Any, Any, Any]:
-        """T, -T' and T'' at tau > 0."""
-        B, u = self.B, self.C * tau**self.B
-        P = tau ** (1 - B) / self.C
-        P1, P2 = (1 - B) * P / tau, -B * (1 - B) * P / tau**2
-        L, L1 = mp.log1p(u), B * u / (tau * (1 + u))
-        L2 = B * (B - 1) * u / (tau**2 * (1 + u)) - L1**2
-        T = mp.exp(-P * L)
-        slope = P1 * L + P * L1
-        bend = P2 * L + 2 * P1 * L1 + P * L2
-        return T, slope * T, (slope**2 - bend) * T
-
     def ff(self, tau: Any) -> Any:
-        return self.derivatives(tau)[0] if tau else mp.one
+        return exp(-(tau ** (1 - self.B)) / self.C * log1p(self.C * tau**self.B))
 
     def pf(self, tau: Any) -> Any:
-        return self.derivatives(tau)[1] / self.sigma_bar if tau else mp.one
+        return super().pf(tau) if tau else mp.one
 
     def pp(self, tau: Any) -> Any:
-        if tau:
-            return self.derivatives(tau)[2] / self.sigma_bar
-        if 0 < self.B < 1:
-            return mp.inf
-        return self.sigma_bar if self.B == 0 else 1 + self.C
+        return super().pp(tau) if tau or self.B in (0, 1) else mp.inf
 
 
 @law("hard_rod")
@@ -265,13 +235,7 @@ class HardRod(Law):
     def ff(self, tau: Any) -> Any:
         if tau < self.d:
             return 1 - self.sigma_bar * tau
-        return self.sigma_bar * self.l * mp.exp(-(tau - self.d) / self.l)
-
-    def pf(self, tau: Any) -> Any:
-        return mp.exp(-(tau - self.d) / self.l) if tau >= self.d else mp.one
-
-    def pp(self, tau: Any) -> Any:
-        return self.pf(tau) / self.l if tau >= self.d else mp.zero
+        return self.sigma_bar * self.l * exp(-(tau - self.d) / self.l)
 
 
 @law("pulse")
@@ -293,18 +257,9 @@ class Pulse(Law):
         places = None if changes else [exact(where) for where, _ in model.atoms]
         return cls(**collected(model, changes), places=places)
 
-    def passed(self, tau: Any) -> int:
-        return bisect.bisect_right(self.places, tau)
-
     def ff(self, tau: Any) -> Any:
-        passed = self.passed(tau)
+        passed = bisect.bisect_right(self.places, tau)
         return self.sigma_bar / self.n * (self.sums[passed] - (self.n - passed) * tau)
-
-    def pf(self, tau: Any) -> Any:
-        return mp.one - mp.mpf(self.passed(tau)) / self.n
-
-    def pp(self, tau: Any) -> Any:
-        return mp.zero
 
 
 @law("mixture")
@@ -420,14 +375,10 @@ class Extinctions(Law):
 
 
 class Shifted(Extinctions):
-    """S = loc + scale X, from the moments of X."""
+    """S = loc + scale X, from ``standard(k, tau)`` = E[X^k exp(-X tau)]."""
 
-    def __init__(self, loc: Any, scale: Any) -> None:
-        self.loc, self.scale = loc, scale
-
-    def standard(self, k: int, tau: Any) -> Any:
-        """E[X^k exp(-X tau)]."""
-        raise NotImplementedError
+    def __init__(self, standard: Moments, loc: Any = mp.zero, scale: Any = mp.one) -> None:
+        self.standard, self.loc, self.scale = standard, loc, scale
 
     def moment(self, k: int, tau: Any) -> Any:
         terms = [
@@ -439,36 +390,25 @@ class Shifted(Extinctions):
         return mp.exp(-self.loc * tau) * mp.fsum(terms)
 
 
-class GammaExtinctions(Shifted):
-    def __init__(self, a: Any, loc: Any = mp.zero, scale: Any = mp.one) -> None:
-        super().__init__(loc, scale)
-        self.a = a
+class Integrated(Extinctions):
+    """By the trapezoidal rule, which converges exponentially here: 13 digits in float64.
 
-    def standard(self, k: int, tau: Any) -> Any:
-        return mp.rf(self.a, k) * (1 + tau) ** -(self.a + k)
+    From numbers on a grid, their density times the spacing, and X of them; S = loc + scale X.
+    """
 
+    singular = True
+    step = mp.mpf(10) ** -4
 
-class BetaExtinctions(Shifted):
-    def __init__(self, a: Any, b: Any, loc: Any = mp.zero, scale: Any = mp.one) -> None:
-        super().__init__(loc, scale)
-        self.a, self.b = a, b
+    def __init__(self, weights: Any, x: Any, loc: Any = 0.0, scale: Any = 1.0) -> None:
+        self.weights, self.values = weights, float(loc) + float(scale) * x
 
-    def standard(self, k: int, tau: Any) -> Any:
-        factor = mp.rf(self.a, k) / mp.rf(self.a + self.b, k)
-        return factor * mp.hyp1f1(self.a + k, self.a + self.b + k, -tau)
-
-
-class UniformExtinctions(Shifted):
-    def __init__(self, loc: Any = mp.zero, scale: Any = mp.one) -> None:
-        super().__init__(loc, scale)
-
-    def standard(self, k: int, tau: Any) -> Any:
-        if tau < mp.mpf(10) ** -12:  # next term: tau^2/2
-            return mp.one / (k + 1) - tau / (k + 2)
-        return mp.gammainc(k + 1, 0, tau) / tau ** (k + 1)
+    def moment(self, k: int, tau: Any) -> Any:
+        with np.errstate(under="ignore"):
+            terms = self.weights * self.values**k * np.exp(-self.values * float(tau))
+        return mp.mpf(float(np.sum(terms)))
 
 
-class PoissonExtinctions(Extinctions):
+class Poisson(Extinctions):
     def __init__(self, mu: Any) -> None:
         self.mu = mu
         self.end = mp.exp(-mu)
@@ -477,24 +417,6 @@ class PoissonExtinctions(Extinctions):
         x = self.mu * mp.exp(-tau)
         touchard = (1, x, x + x**2, x + 3 * x**2 + x**3)
         return touchard[k] * mp.exp(x - self.mu)
-
-
-class LognormalExtinctions(Extinctions):
-    """By the trapezoidal rule over ln S, which converges exponentially: 13 digits in float64."""
-
-    singular = True
-    step = mp.mpf(10) ** -4
-
-    def __init__(self, s: Any, loc: Any = mp.zero, scale: Any = mp.one) -> None:
-        s, loc, scale = float(s), float(loc), float(scale)
-        z = np.arange(-40, 40 + 4 * s, 0.01)
-        self.values = loc + scale * np.exp(s * z)
-        self.weights = 0.01 / np.sqrt(2 * np.pi) * np.exp(-0.5 * z**2)
-
-    def moment(self, k: int, tau: Any) -> Any:
-        with np.errstate(under="ignore"):
-            terms = self.weights * self.values**k * np.exp(-self.values * float(tau))
-        return mp.mpf(float(np.sum(terms)))
 
 
 class TableOfExtinctions(Extinctions):
@@ -507,12 +429,100 @@ class TableOfExtinctions(Extinctions):
         return mp.fsum(w * s**k * mp.exp(-s * tau) for s, w in self.terms)
 
 
-DISTRIBUTIONS = {
-    "gamma": GammaExtinctions,
-    "beta": BetaExtinctions,
-    "uniform": UniformExtinctions,
-    "lognorm": LognormalExtinctions,
-    "poisson": PoissonExtinctions,
+def gamma(a: Any) -> Moments:
+    return lambda k, t: mp.rf(a, k) * (1 + t) ** -(a + k)
+
+
+def beta(a: Any, b: Any) -> Moments:
+    def moment(k: int, t: Any) -> Any:
+        return mp.rf(a, k) / mp.rf(a + b, k) * mp.hyp1f1(a + k, a + b + k, -t)
+
+    return moment
+
+
+def uniform(k: int, t: Any) -> Any:
+    if t < mp.mpf(10) ** -12:  # next term: t^2/2
+        return mp.one / (k + 1) - t / (k + 2)
+    return mp.gammainc(k + 1, 0, t) / t ** (k + 1)
+
+
+def loguniform(low: Any, high: Any) -> Moments:
+    def moment(k: int, t: Any) -> Any:
+        if not t:
+            return (high**k - low**k) / k / mp.log(high / low) if k else mp.one
+        return mp.gammainc(k, low * t, high * t) / t**k / mp.log(high / low)
+
+    return moment
+
+
+def pareto(b: Any) -> Moments:
+    return lambda k, t: b * mp.expint(b + 1 - k, t)
+
+
+class Transform(Law):
+    """E[exp(-X tau)] as a formula, of which the moments are derivatives."""
+
+    def __init__(self, formula: Callable[[Any], Any]) -> None:
+        self.formula = formula
+
+    def ff(self, tau: Any) -> Any:
+        return self.formula(tau)
+
+
+def derived(formula: Callable[[Any], Any]) -> Moments:
+    transform = Transform(formula)
+    return lambda k, t: transform.fall(k, t) if k else formula(t)
+
+
+def triangular(c: Any) -> Moments:
+    """Mean of two uniform numbers."""
+    assert c == 0.5
+    inside = derived(lambda t: ((1 - exp(-t / 2)) / (t / 2)) ** 2)
+    return lambda k, t: inside(k, t) if t else (mp.one, mp.one / 2, mp.mpf(7) / 24)[k]
+
+
+def inverse_gaussian(mu: Any) -> Moments:
+    return derived(lambda t: exp((1 - (1 + 2 * mu**2 * t) ** mp.mpf(0.5)) / mu))
+
+
+def truncated_normal(low: Any, high: Any) -> Moments:
+    def between(t: Any) -> Any:
+        return erfc((low + t) / mp.sqrt(2)) - erfc((high + t) / mp.sqrt(2))
+
+    return derived(lambda t: exp(t * t / 2) * between(t) / between(mp.zero))
+
+
+def lognormal(s: Any, *place: Any) -> Law:
+    z = np.arange(-40, 40 + 4 * float(s), 0.01)
+    weights = 0.01 / np.sqrt(2 * np.pi) * np.exp(-0.5 * z**2)
+    return Integrated(weights, np.exp(float(s) * z), *place)
+
+
+def weibull(c: Any, *place: Any) -> Law:
+    y = np.arange(-80, 8, 0.005)
+    return Integrated(0.005 * np.exp(y - np.exp(y)), np.exp(y / float(c)), *place)
+
+
+def binomial(n: Any, p: Any) -> Law:
+    n = int(n)
+    weights = [mp.binomial(n, k) * p**k * (1 - p) ** (n - k) for k in range(n + 1)]
+    return TableOfExtinctions(list(map(mp.mpf, range(n + 1))), weights)
+
+
+DISTRIBUTIONS: dict[str, Callable[..., Any]] = {
+    "gamma": lambda a, *place: Shifted(gamma(a), *place),
+    "expon": lambda *place: Shifted(gamma(mp.one), *place),
+    "beta": lambda a, b, *place: Shifted(beta(a, b), *place),
+    "uniform": lambda *place: Shifted(uniform, *place),
+    "loguniform": lambda low, high, *place: Shifted(loguniform(low, high), *place),
+    "pareto": lambda b, *place: Shifted(pareto(b), *place),
+    "triang": lambda c, *place: Shifted(triangular(c), *place),
+    "invgauss": lambda mu, *place: Shifted(inverse_gaussian(mu), *place),
+    "truncnorm": lambda low, high, *place: Shifted(truncated_normal(low, high), *place),
+    "lognorm": lognormal,
+    "weibull_min": weibull,
+    "poisson": Poisson,
+    "binom": binomial,
 }
 """Laws of extinction with an expectation of their own here, by their names in scipy.stats."""
 
@@ -531,7 +541,7 @@ class Ensemble(Law):
         given: Any = model
         if given.law:
             arguments = [exact(number) for number in given.args]
-            return DISTRIBUTIONS[given.law](*arguments).prepare()
+            return DISTRIBUTIONS[given.law](*arguments).prepare()  # type: ignore[no-any-return]
         sigma = [exact(number) for number in given.sigma]
         weight = [exact(number) for number in given.weight] or [mp.one] * len(sigma)
         return TableOfExtinctions(sigma, weight).prepare()

@@ -19,9 +19,10 @@ import numpy as np
 import pytest
 from drjit.llvm.ad import PCG32, Float, Float64
 from scipy import special, stats
-from stability_cases import CASES, case_id
+from stability_cases import CASES, QUICK, case_id, every_case
 from stability_reference import exact
 from stability_values import narrow, wide
+from tiers import quick
 
 DRAWS = 2**20
 FALSE_ALARM = 1e-6
@@ -39,7 +40,7 @@ REUSED: set[tuple[str, str]] = set()
 
 KINDS = [(i, origin) for i in range(len(CASES)) for origin in "fp"]
 IDS = [f"{case_id(CASES[i])}-{origin}" for i, origin in KINDS]
-every_kind = pytest.mark.parametrize(("position", "origin"), KINDS, ids=IDS)
+both_origins = pytest.mark.parametrize("origin", ["f", "p"])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -93,7 +94,7 @@ def stream(count: int, seed: int) -> Callable[[], Any]:
     return draw
 
 
-@pytest.fixture(scope="module", params=KINDS, ids=IDS)
+@pytest.fixture(scope="module", params=quick(KINDS, lambda kind: kind[0] in QUICK), ids=IDS)
 def flights(request: pytest.FixtureRequest, effort: int) -> Flights:
     position, origin = request.param
     model, law = narrow(position)
@@ -221,7 +222,8 @@ def test_moments(flights: Flights) -> None:
 # --------------------------------------------------------------------------------- single numbers
 
 
-@every_kind
+@every_case
+@both_origins
 def test_ends_of_the_random_numbers(position: int, origin: str) -> None:
     """All pairs of a first and of all further numbers: no NaN, and infinity only where it is due.
 
@@ -240,7 +242,8 @@ def test_ends_of_the_random_numbers(position: int, origin: str) -> None:
         assert np.all(tau[(first > 0) & (others > 0)] > 0)
 
 
-@every_kind
+@every_case
+@both_origins
 def test_inversions_return_to_their_random_number(position: int, origin: str) -> None:
     """cdf(sample(u)) = u within 4 2^-24, for a depth within rounding of the sample.
 

@@ -13,13 +13,12 @@ from typing import Any
 import numpy as np
 import pytest
 from drjit.llvm.ad import Float, Float64
-from stability_cases import CASES, EXTREMES, KERNELS, case_id
+from stability_cases import CASES, EXTREMES, KERNELS, every_case
 from stability_reference import LAWS, Extinctions, exact, mp
 from stability_values import BAR, compare, narrow, some, wide
 
 from nonexp import models
 
-every_case = pytest.mark.parametrize("position", range(len(CASES)), ids=map(case_id, CASES))
 every_kernel = pytest.mark.parametrize("kernel", KERNELS)
 
 BAR_64 = {"ensemble": 5e-8}
@@ -51,7 +50,9 @@ def test_references_are_laws(position: int) -> None:
             here = density(tau)
             assert abs(fall / (2 * step * tau) - here) <= error * here + mp.mpf(10) ** -30
     if not isinstance(law, Extinctions):  # they know P(S = 0)
-        assert abs(law.ff(mp.mpf(10) ** 60000) - law.end) < 1e-5
+        far, half_way = (law.ff(mp.mpf(10) ** power) for power in (60000, 30000))
+        # Tails as heavy as tau^-1e-6 have still not arrived.
+        assert abs(far - law.end) < 1e-5 or far < 0.99 * half_way
 
 
 def masses(atoms: Any) -> Any:
