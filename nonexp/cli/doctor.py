@@ -30,7 +30,6 @@ def doctor() -> int:
     if not report.variants:
         print("This machine cannot render.")
         return 2
-    print(
-        f"This machine can render, by default with {machine.choose_variant(report.gpu, report.variants)}."
-    )
+    variant = machine.choose_variant(report.gpu, report.variants)
+    print(f"This machine can render, by default with {variant}.")
     return 0

@@ -32,12 +32,15 @@ MIN_PASSES = 8
 MAX_PASS_SAMPLES = 1 << 22
 """Most samples of a pass over all pixels: bounds memory, and the time between two passes."""
 
+_OPEN_ENDED = 16
+"""Samples per pixel of a pass, at most, where time or noise decides when a render ends."""
+
 # Dr.Jit adds samples to pixels in parallel. The sum is the same in every run if no two threads
 # share a pixel: with passes of a power of two that is so for large passes (the work is split in
-# multiples of 2^14 samples from 2^15 per thread on) and for at most two SIMD packets per pixel.
-# The bounds hold for up to 64 threads and packets of 8 or more.
+# multiples of 2^14 samples from 2^15 per thread on) and for one SIMD packet per pixel. The bounds
+# hold for up to 64 threads and packets of 8 or more.
 _LARGE_PASS = 1 << 21
-_TWO_PACKETS = 16
+_ONE_PACKET = 8
 
 
 # --------------------------------------------------------------------- plan
@@ -67,20 +70,24 @@ def plan(spp: int | None, pixels: int) -> Plan:
     """Divide ``spp`` samples per pixel into passes, for an image of ``pixels`` pixels.
 
     A pass has a power of two of samples per pixel, no more than an eighth of ``spp`` and no more
-    than 2^22 in the whole image; ``spp`` is rounded up to whole passes. Small images get passes
-    of at most 16, which repeat to the last bit; so do all whose ``spp`` is None, not known. The
-    plan depends on nothing else, so that it is the same on every machine.
+    than 2^22 in the whole image; ``spp`` is rounded up to whole passes. Passes of fewer than 2^21
+    samples in the whole image get at most 8 per pixel: then they repeat to the last bit. Where
+    ``spp`` is None, not known, a pass has at most 16. The plan depends on nothing else, so that it
+    is the same on every machine.
 
     >>> plan(64, 480 * 360), plan(1000, 480 * 360).spp
     (Plan(passes=8, pass_spp=8), 1008)
     """
     if spp is None:
-        return Plan(None, _power_of_two(min(_TWO_PACKETS, MAX_PASS_SAMPLES // pixels)))
+        return Plan(None, _pass_spp(_OPEN_ENDED, pixels))
     spp = whole("spp", spp, 1)
-    pass_spp = _power_of_two(min(spp // MIN_PASSES, MAX_PASS_SAMPLES // pixels))
-    if pixels * pass_spp < _LARGE_PASS:
-        pass_spp = min(pass_spp, _TWO_PACKETS)
+    pass_spp = _pass_spp(spp // MIN_PASSES, pixels)
     return Plan(-(-spp // pass_spp), pass_spp)
+
+
+def _pass_spp(most: int, pixels: int) -> int:
+    wanted = _power_of_two(min(most, MAX_PASS_SAMPLES // pixels))
+    return wanted if pixels * wanted >= _LARGE_PASS else min(wanted, _ONE_PACKET)
 
 
 def planned(
