@@ -12,6 +12,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from scipy import stats
+from tiers import THOROUGH
 
 from nonexp import cli
 from nonexp.bench import measure, references, report, results, run, scaling
@@ -148,6 +149,7 @@ mi.register_integrator("biased_volpath", Biased)
 """
 
 
+@THOROUGH
 def test_a_planted_bias_is_flagged_and_copies_agree(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -327,6 +329,7 @@ def test_other_files_are_refused() -> None:
             Results.from_json(text, "x.json")
 
 
+@THOROUGH
 def test_compare_finds_nothing_in_a_repeated_run() -> None:
     """96 figures, of other random numbers."""
     for seed in range(2, 10):
@@ -404,6 +407,7 @@ def test_report_tells_all(tmp_path: Path) -> None:
     assert widths == {13}
 
 
+@THOROUGH
 def test_report_names_slopes_that_are_off() -> None:
     """The one with a floor, and nothing that misses its own interval by chance."""
     for seed in range(8):
@@ -431,6 +435,7 @@ def test_a_failing_plot_leaves_the_old_one(tmp_path: Path, monkeypatch: pytest.M
 # --------------------------------------------------------------------- scaling
 
 
+@THOROUGH
 def test_scaling_tells_exponents(tmp_path: Path) -> None:
     samples = [
         scaling.Sample(axis.name, line.name, value, 0.01 * value**1.5, 10**6)

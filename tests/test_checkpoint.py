@@ -16,6 +16,7 @@ import mitsuba as mi
 import numpy as np
 import OpenEXR
 import pytest
+from tiers import THOROUGH
 
 import nonexp
 from nonexp.images.moments import Moments
@@ -385,6 +386,7 @@ def content(path: Path) -> dict[str, bytes]:
         return {name: channel.pixels.tobytes() for name, channel in file.channels().items()}
 
 
+@THOROUGH
 def test_a_run_killed_again_and_again_gives_the_same_bits(tmp_path: Path, effort: int) -> None:
     """kill -9 at random moments, 5 times, 100 in full: at start, while rendering, while writing."""
     kills = 5 if effort == 1 else 100

@@ -12,6 +12,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from drjit.llvm.ad import Float64
+from tiers import THOROUGH
 
 from nonexp import fitting, models
 
@@ -104,6 +105,7 @@ def test_exact_data_are_met_exactly(
     np.testing.assert_allclose(result.ff(x), curve(name, parameters, (sigma_t or 1) * x), atol=1e-8)
 
 
+@THOROUGH
 @pytest.mark.parametrize("known", [True, False], ids=["sigma given", "sigma from the scatter"])
 @pytest.mark.parametrize(
     ("name", "truth"),
