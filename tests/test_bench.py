@@ -52,6 +52,7 @@ def small(name: str, law: str = "exponential", spp: int = 64) -> Case:
 # --------------------------------------------------------------------- statistics
 
 
+@THOROUGH
 def test_slope_of_unbiased_passes_is_minus_one() -> None:
     """Within its interval in 95 % of all cases: at least 50 of 60 (p < 1e-4 otherwise), and close
     to -1 on average."""
@@ -109,6 +110,7 @@ def test_bias_is_found_in_the_whole_and_in_a_tile() -> None:
     assert bias.found and abs(bias.mean) < 3 * bias.stderr
 
 
+@THOROUGH
 def test_efficiency_and_its_interval() -> None:
     """1/(variance * time); the interval holds the true value in 95 % of all cases: in at least
     48 of 60 (p < 1e-4 otherwise, as the bootstrap is a little narrow)."""

@@ -466,6 +466,7 @@ def test_a_target_that_is_reached_already_ends_the_render(tmp_path: Path) -> Non
     assert found.finished and found.moments.passes == 3
 
 
+@THOROUGH
 def test_memory_stays_flat(effort: int, tmp_path: Path) -> None:
     """1000 passes (10 000 in full) with a checkpoint every 50 ms: no growth after the first 200."""
     sizes: list[int] = []

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from drjit.llvm.ad import Float, Float64
 from measure import largest_kernel
-from stability_reference import exact, reference
+from stability_reference import exact, exact_places, reference
 from tiers import quick
 
 from nonexp import models
@@ -187,7 +187,7 @@ def test_distribution_function_undoes_inversion(key: str, parameters: Any, origi
 def test_pulse_picks_length_biased_atoms(case: Any) -> None:
     """The share of each atom in a dense regular grid of random numbers, from both origins."""
     model = held(case)
-    places = np.array([float(exact(where)) for where, _ in model.atoms])
+    places = np.array([float(where) for where in exact_places(model)])
     u = Float((np.arange(DRAWS) + 0.5) / DRAWS)
     for tau, weight in (
         (model.sample_f(stream(u, Float(0.5))) * 2, places),
@@ -204,7 +204,7 @@ def test_pulse_picks_length_biased_atoms(case: Any) -> None:
 def test_pulse_survival_drops_at_the_very_atoms(case: Any) -> None:
     model = held(case)
     n = model.n
-    at = np.array([float(exact(where)) for where, _ in model.atoms], dtype=np.float32)
+    at = np.array([float(where) for where in exact_places(model)], dtype=np.float32)
     after = (n - 1 - np.arange(n)) / n
     np.testing.assert_allclose(np.array(model.pf(Float(at))), after, rtol=2e-7, atol=0)
     before = np.array(model.pf(Float(np.nextafter(at, np.float32(0)))))
