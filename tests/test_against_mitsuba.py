@@ -230,7 +230,7 @@ def test_far_clip_as_mitsuba_takes_it(where: str, far: float) -> None:
     assert_same(*both(build, 512), within=0.05)
 
 
-@pytest.mark.parametrize("hide", [False, True], ids=["shown", "hidden"])
+@pytest.mark.parametrize("hide", [*thorough(False), True], ids=["shown", "hidden"])
 @pytest.mark.parametrize(
     "bsdf", [*thorough("diffuse", "plastic", "roughconductor", "dielectric"), "null"]
 )

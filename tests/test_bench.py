@@ -12,6 +12,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from scipy import stats
+from tiers import THOROUGH
 
 from nonexp import cli
 from nonexp.bench import measure, references, report, results, run, scaling
@@ -51,6 +52,7 @@ def small(name: str, law: str = "exponential", spp: int = 64) -> Case:
 # --------------------------------------------------------------------- statistics
 
 
+@THOROUGH
 def test_slope_of_unbiased_passes_is_minus_one() -> None:
     """Within its interval in 95 % of all cases: at least 50 of 60 (p < 1e-4 otherwise), and close
     to -1 on average."""
@@ -108,6 +110,7 @@ def test_bias_is_found_in_the_whole_and_in_a_tile() -> None:
     assert bias.found and abs(bias.mean) < 3 * bias.stderr
 
 
+@THOROUGH
 def test_efficiency_and_its_interval() -> None:
     """1/(variance * time); the interval holds the true value in 95 % of all cases: in at least
     48 of 60 (p < 1e-4 otherwise, as the bootstrap is a little narrow)."""
@@ -148,6 +151,7 @@ mi.register_integrator("biased_volpath", Biased)
 """
 
 
+@THOROUGH
 def test_a_planted_bias_is_flagged_and_copies_agree(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -327,6 +331,7 @@ def test_other_files_are_refused() -> None:
             Results.from_json(text, "x.json")
 
 
+@THOROUGH
 def test_compare_finds_nothing_in_a_repeated_run() -> None:
     """96 figures, of other random numbers."""
     for seed in range(2, 10):
@@ -404,6 +409,7 @@ def test_report_tells_all(tmp_path: Path) -> None:
     assert widths == {13}
 
 
+@THOROUGH
 def test_report_names_slopes_that_are_off() -> None:
     """The one with a floor, and nothing that misses its own interval by chance."""
     for seed in range(8):
@@ -431,6 +437,7 @@ def test_a_failing_plot_leaves_the_old_one(tmp_path: Path, monkeypatch: pytest.M
 # --------------------------------------------------------------------- scaling
 
 
+@THOROUGH
 def test_scaling_tells_exponents(tmp_path: Path) -> None:
     samples = [
         scaling.Sample(axis.name, line.name, value, 0.01 * value**1.5, 10**6)

@@ -16,6 +16,7 @@ import mitsuba as mi
 import numpy as np
 import OpenEXR
 import pytest
+from tiers import THOROUGH
 
 import nonexp
 from nonexp.images.moments import Moments
@@ -400,6 +401,7 @@ def content(path: Path) -> dict[str, bytes]:
         return {name: channel.pixels.tobytes() for name, channel in file.channels().items()}
 
 
+@THOROUGH
 def test_a_run_killed_again_and_again_gives_the_same_bits(tmp_path: Path, effort: int) -> None:
     """kill -9 at random moments, 5 times, 100 in full: at start, while rendering, while writing."""
     kills = 5 if effort == 1 else 100
@@ -480,6 +482,7 @@ def test_a_target_that_is_reached_already_ends_the_render(tmp_path: Path) -> Non
     assert found.finished and found.moments.passes == 3
 
 
+@THOROUGH
 def test_memory_stays_flat(effort: int, tmp_path: Path) -> None:
     """1000 passes (10 000 in full) with a checkpoint every 50 ms: no growth after the first 200."""
     sizes: list[int] = []

@@ -271,6 +271,8 @@ def test_with_and_without_connections(number: int) -> None:
         )
         camera = perspective([0, 0.4, 3], [0, 0, 0], 50)
         built = scene(sensor=camera, ball=ball(inside, boundary), light=LIGHTS[light])
-        means.append(passes(built, 2**11, seed))
+        # Light from a lamp through rough glass is noisy.
+        noisy = (boundary, light) == ("roughdielectric", "area")
+        means.append(passes(built, 2**12 if noisy else 2**11, seed))
     # A lamp seen through glass is found by chance alone, in small shares of the view.
     assert_same(*means, 0.25 if (boundary, light) == ("dielectric", "area") else 0.15)

@@ -162,6 +162,7 @@ def test_single_scattering_from_a_half_space(case: Case, mu: tuple[float, float]
 # ------------------------------------------------------------------------------- many collisions
 
 
+@on_few_laws
 @pytest.mark.parametrize("boundary", ["null", "dielectric"])
 def test_white_furnace_without_connections_is_exact(case: Case, boundary: str) -> None:
     inside = medium(*case, sigma_t=3 * unit(law(case)), albedo=1.0, sample_emitters=False)
@@ -231,6 +232,7 @@ def test_collisions_spread_evenly_over_any_body_lit_from_everywhere(
         assert_mean(sums / (count / sums.size), expected, 0.1 / (volume * effort) ** 0.5)
 
 
+@on_few_laws
 def test_positions_of_the_first_collisions_from_a_fixed_point(case: Case, effort: int) -> None:
     """Directions are isotropic, so characteristic functions multiply and squares of flights add.
 

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from build import MODELS, model_id
 from drjit.llvm.ad import Float64
+from tiers import THOROUGH
 
 import nonexp
 from nonexp import fitting, models, parameters
@@ -112,6 +113,7 @@ def test_exact_data_are_met_exactly(
     np.testing.assert_allclose(result.ff(x), curve(name, parameters, (sigma_t or 1) * x), atol=1e-8)
 
 
+@THOROUGH
 @pytest.mark.parametrize("known", [True, False], ids=["sigma given", "sigma from the scatter"])
 @pytest.mark.parametrize(
     ("name", "truth"),

@@ -7,8 +7,10 @@ import pytest
 from build import scene, stock
 from measure import assert_same, passes
 from test_against_mitsuba import GRID, lobe
+from tiers import THOROUGH
 
 
+@THOROUGH
 @pytest.mark.parametrize("case", ["null", "dielectric"])
 def test_volpath_agrees_with_itself(case: str, effort: int) -> None:
     """Calibration, on the heaviest tails: 64 passes of 256 paths a block, glass, small lamp."""
@@ -20,14 +22,14 @@ def test_volpath_agrees_with_itself(case: str, effort: int) -> None:
 
 def test_a_planted_bias_is_found() -> None:
     built = scene("volpath", **lobe(stock, "null", "area"))
-    a, b = passes(built, 2048, 1, GRID), passes(built, 2048, 2, GRID)
-    assert_same(a, b, within=0.01)
+    a, b = passes(built, 256, 1, GRID), passes(built, 256, 2, GRID)
+    assert_same(a, b, within=0.03)
     with pytest.raises(AssertionError, match="means differ"):
-        assert_same(a, 1.01 * b, within=0.01)
+        assert_same(a, 1.03 * b, within=0.03)
     spoiled = b.copy()
-    spoiled[np.argmax(b.mean(axis=1))] *= 1.1
+    spoiled[np.argmax(b.mean(axis=1))] *= 1.3
     with pytest.raises(AssertionError, match="differ"):
-        assert_same(a, spoiled, within=0.01)
+        assert_same(a, spoiled, within=0.03)
 
 
 def test_a_weak_test_is_refused() -> None:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import OpenEXR
 import pytest
+from tiers import THOROUGH
 
 from nonexp import cli
 from nonexp.images import compare as comparing
@@ -131,6 +132,7 @@ def test_images_without_noise_are_compared_exactly() -> None:
         assert (test.worst > test.limit) == differ
 
 
+@THOROUGH
 def test_noise_alone_is_seldom_called_a_difference() -> None:
     """300 pairs of equal images, of 8 and of 20 passes, with 1 % false alarms claimed.
 

@@ -16,6 +16,7 @@ import pytest
 from drjit.llvm.ad import Float, Float64
 from mpmath import mp
 from scipy import stats
+from tiers import thorough
 
 from nonexp import models
 from nonexp.numerics import special
@@ -59,7 +60,11 @@ def test_erlang_steps(k: int, origin: str, draws: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("h", "c"), [(0.501, 1e3), (0.75, 1.0), (0.75, 1e3), (0.9, 1e3), (1.0, 1.0), (1.0, 1e3)]
+    ("h", "c"),
+    [
+        (0.75, 1.0),
+        *thorough((0.501, 1e3), (0.75, 1e3), (0.9, 1e3), (1.0, 1.0), (1.0, 1e3), several=True),
+    ],
 )
 def test_davis_weinstein_flights_are_inverted_exactly(h: float, c: float) -> None:
     """For all random numbers of float32: ascending, and cdf(sample(u)) = u within 4 2^-24."""

@@ -17,6 +17,7 @@ import pytest
 from build import FURNACE, ball, beam, medium, scene
 from drjit.llvm.ad import PCG32, Float, Float64
 from scipy import special, stats
+from tiers import THOROUGH
 
 import nonexp
 from nonexp import models
@@ -120,6 +121,7 @@ def test_tables_find_the_last_row_that_is_not_above(count: int, width: int) -> N
 # ------------------------------------------------------------------------------- the curve
 
 
+@THOROUGH
 @every_law
 def test_single_precision_is_as_good_as_exact_arithmetic(name: str) -> None:
     law = LAWS[name]

@@ -462,7 +462,7 @@ def test_searches_find_what_ordinary_paths_do() -> None:
 
 
 @pytest.mark.parametrize("radius", [1e-3, 1.0, 1e3])
-@pytest.mark.parametrize("eta", [1.0001, 1.4, 2.4, 1 / 1.4])
+@pytest.mark.parametrize("eta", [*thorough(1.0001), 1.4, *thorough(2.4), 1 / 1.4])
 def test_whatever_is_asked_ends_in_numbers(eta: float, radius: float) -> None:
     """Points on the surface, in the middle, outside; targets on, in, near the ball, at infinity."""
     u = np.random.default_rng(4).random((400, 3))

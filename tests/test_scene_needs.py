@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from build import FURNACE, ball, box, medium, perspective, scene, stock
 from measure import largest_kernel, radiance
+from tiers import thorough
 
 from nonexp import models
 from nonexp.integrators import rays
@@ -213,7 +214,9 @@ def assert_can_be_frozen(built: Any, right: Any, monkeypatch: pytest.MonkeyPatch
         np.testing.assert_array_equal(replayed, np.array(mi.render(right, spp=4, seed=seed)))
 
 
-@pytest.mark.parametrize("model", ["gamma", "davis_weinstein", "ensemble", "tabulated", "mixture"])
+@pytest.mark.parametrize(
+    "model", ["gamma", *thorough("davis_weinstein", "ensemble", "tabulated", "mixture")]
+)
 def test_a_render_can_be_frozen(model: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also where the model looks into tables."""
     parameters = dict(models.registry[model].examples[0])

@@ -9,6 +9,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from scipy import stats
+from tiers import THOROUGH, thorough
 
 import nonexp
 from nonexp.images.moments import Array, Moments, Noise
@@ -121,8 +122,8 @@ def test_looks_are_rare_and_the_same_for_all() -> None:
     assert 0.03 < steps.min() <= steps.max() <= 0.05
 
 
-@pytest.mark.parametrize("shape", [2.0, 0.2])
-@pytest.mark.parametrize("size", [(4, 5), (16, 20)])
+@pytest.mark.parametrize("shape", [2.0, *thorough(0.2)])
+@pytest.mark.parametrize("size", [(4, 5), *thorough((16, 20))])
 def test_the_target_is_held_in_95_of_100_runs(size: tuple[int, int], shape: float) -> None:
     """Passes with gamma-distributed noise (relative deviation 0.7, and 2.2 with a long tail).
 
@@ -175,6 +176,7 @@ def scene() -> Any:
     )
 
 
+@THOROUGH
 def test_a_render_stops_at_the_error_that_it_claims() -> None:
     """40 seeds against a reference of 2^14 samples (whose own error is 1/8 of the target).
 

@@ -84,7 +84,7 @@ def test_every_test_of_all_models_is_quick_on_all() -> None:
         if test.partition("::")[0] not in few:
             assert quickly[test] == set(models.names()), test
     rendered = [test for test in of_all if quickly[test] == set(models.names()) and "exact" in test]
-    assert len(rendered) >= 5
+    assert len(rendered) >= 3
 
 
 def test_every_axis_of_configurations_is_quick() -> None:

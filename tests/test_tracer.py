@@ -10,6 +10,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from build import ball, medium, scene
+from tiers import thorough
 
 from nonexp.integrators import rays as transport_rays
 from nonexp.integrators import report
@@ -55,7 +56,7 @@ def rays(n: int, size: float = 1.0, shift: float = 0.0) -> mi.Ray3f:
 
 @pytest.mark.parametrize(
     ("size", "others"),
-    [(1.0, OTHERS), (1.0, {}), (1e-3, {}), (1e3, {})],
+    [(1.0, OTHERS), *thorough((1.0, {}), (1e-3, {}), (1e3, {}), several=True)],
     ids=["other shapes", "spheres", "millimetres", "kilometres"],
 )
 def test_meets_what_mitsuba_meets(size: float, others: dict[str, Any]) -> None:

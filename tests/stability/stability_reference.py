@@ -32,6 +32,13 @@ def exact(value: Any) -> Any:
     return mp.mpf(float(dr.detach(value)[0] if dr.is_array_v(value) else value))
 
 
+def exact_places(model: Transmittance) -> list[Any]:
+    """Where the atoms of a model are, all evaluated by one kernel."""
+    places = [where for where, _ in model.atoms]
+    dr.eval(places)
+    return [exact(where) for where in places]
+
+
 def key_of(model: Transmittance) -> str:
     return next(key for key, cls in models.registry.items() if type(model) is cls)
 
@@ -254,7 +261,7 @@ class Pulse(Law):
     @classmethod
     def of(cls, model: Transmittance, changes: dict[str, Any]) -> Law:
         # A shifted parameter shifts the places: then they are where the formula says.
-        places = None if changes else [exact(where) for where, _ in model.atoms]
+        places = None if changes else exact_places(model)
         return cls(**collected(model, changes), places=places)
 
     def ff(self, tau: Any) -> Any:
