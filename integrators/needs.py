@@ -17,7 +17,7 @@ from nonexp.system import insides
 from .coincident import Coincident, coincident
 from .jit import Remembered
 from .media import entry_of
-from .rays import Offset, place
+from .rays import Offset, place, state
 
 _SMOOTH = ("Sphere", "Cylinder", "Disk", "Rectangle")
 
@@ -277,15 +277,8 @@ def _encloses(shape: mi.Shape) -> bool:
 def _watertight(mesh: Any) -> bool:
     """Every edge belongs to two faces that run through it in opposite directions, and the faces
     turn outwards. Vertices count as one where they coincide. Cached per state of the mesh."""
-    positions, faces = insides.vertex_positions(mesh), insides.faces(mesh)
-    key = insides.variables(positions, faces)
-    return bool(
-        _known.get(
-            key,
-            (positions, faces),
-            lambda: _is_watertight(np.array(positions), np.array(faces)),
-        )
-    )
+    arrays, numbers = state(mesh)
+    return bool(_known.get(numbers, arrays, lambda: _is_watertight(*map(np.array, arrays))))
 
 
 def _is_watertight(positions: Any, faces: Any) -> bool:

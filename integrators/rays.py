@@ -374,4 +374,6 @@ def state(shape: Any) -> tuple[Any, tuple[int, ...]]:
     else:
         matrix = mi.traverse(shape)["to_world"].matrix
         arrays = tuple(entry for row in matrix for entry in row)
+    # Copies, which share the variables: those of the shape would keep it from being collected.
+    arrays = tuple(type(array)(array) for array in arrays)
     return arrays, insides.variables(*arrays)

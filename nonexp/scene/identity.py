@@ -37,7 +37,7 @@ def of_scene(scene: mi.Scene, integrator: Any = None) -> dict[str, Any]:
         options = {
             name: value
             for name, value in sorted(getattr(integrator, "__dict__", {}).items())
-            if isinstance(value, (bool, int, float, str))
+            if isinstance(value, (bool, int, float, str)) and not name.startswith("_")
         }
         description = insides.described(scene, integrator)
     return {
