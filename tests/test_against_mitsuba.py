@@ -12,6 +12,8 @@ from build import ball, perspective, scene, stock
 from measure import assert_same, passes
 from tiers import THOROUGH, quick, thorough
 
+pytestmark = pytest.mark.thorough
+
 GRID = 6
 
 

@@ -26,6 +26,8 @@ from nonexp.rendering.job import RenderJob
 from nonexp.scene import identity as sceneid
 from nonexp.system import files
 
+pytestmark = pytest.mark.thorough
+
 ROOT = Path(__file__).resolve().parent.parent
 
 

@@ -119,6 +119,7 @@ def test_exponential_channels_against_volpath(boundary: str, connects: bool) -> 
             assert_same(got, right, 0.05)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("variant", ["llvm_ad_spectral"], indirect=True)
 @pytest.mark.parametrize("boundary", quick(["null", "dielectric"], "null".__eq__))
 def test_hero_wavelengths_against_volpathmis(variant: str, boundary: str) -> None:

@@ -29,6 +29,8 @@ from nonexp.parameters import describe
 from nonexp.rendering import progress, targets
 from nonexp.scene.load import load
 
+pytestmark = pytest.mark.thorough
+
 SCENE = """
 <scene version="3.0.0">
     <default name="medium" value="gamma"/>

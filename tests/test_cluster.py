@@ -25,6 +25,8 @@ from nonexp.rendering.job import RenderJob
 from nonexp.rendering.render import run
 from nonexp.scene.load import load
 
+pytestmark = pytest.mark.thorough
+
 pytest.importorskip("distributed")
 
 ROOT = Path(__file__).resolve().parent.parent

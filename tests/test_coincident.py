@@ -131,6 +131,7 @@ def test_fog_on_the_ground(law: str, reverse: bool) -> None:
     assert_same(means(512, **on, **rest), means(512, **above, **rest))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("reverse", (False, True))
 def test_a_lamp_on_the_face_of_fog(reverse: bool) -> None:
     interior = medium(sigma_t=1.0, albedo=0.8)
@@ -146,6 +147,7 @@ def test_a_lamp_on_the_face_of_fog(reverse: bool) -> None:
     )
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("reverse", (False, True))
 def test_liquid_in_a_glass(reverse: bool) -> None:
     """A liquid with boundaries of its own fills a body of glass: as the body with the medium."""
@@ -158,6 +160,7 @@ def test_liquid_in_a_glass(reverse: bool) -> None:
     assert_same(means(256, **shuffled(two, reverse), **rest), means(256, **one, **rest))
 
 
+@pytest.mark.thorough
 def test_a_sphere_and_its_twin() -> None:
     ball = {"type": "sphere", "bsdf": NULL, "interior": medium(sigma_t=1.0, albedo=0.9)}
     rest = {

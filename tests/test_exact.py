@@ -200,6 +200,7 @@ def test_mean_number_of_collisions(case: Case, effort: int) -> None:
     assert_mean(n, math.pi / 4 * 1.5 * 4 / 3, 0.05 / effort**0.5)
 
 
+@pytest.mark.thorough
 @on_few_laws
 def test_collisions_spread_evenly_over_any_body_lit_from_everywhere(
     case: Case, effort: int
@@ -394,6 +395,7 @@ def test_erlang_slab_under_a_white_sky(albedo: float, thickness: float, effort: 
         assert_mean(samples, math.pi * expected, 0.06 / effort**0.5)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("albedo", [*thorough(0.5), 0.9])
 @pytest.mark.parametrize("mu", [*thorough(1.0), 0.4, *thorough(None)])
 def test_erlang_half_space(albedo: float, mu: float | None, effort: int) -> None:
@@ -435,6 +437,7 @@ ENSEMBLES = [("gamma", {"alpha": 0.7}), ("gamma", {"alpha": 2.0})] + [
 ]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("average", quick(ENSEMBLES, ENSEMBLES[:1].__contains__), ids=model_id)
 def test_law_is_the_average_of_exponential_media(average: Case, effort: int) -> None:
     """Absorbing ball crossed once: the mean of Mitsuba's exponential renders, extinction drawn from
@@ -463,6 +466,7 @@ def test_law_is_the_average_of_exponential_media(average: Case, effort: int) -> 
 # ------------------------------------------------------------------------------- laws that coincide
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("one", "other"),
     [
@@ -515,6 +519,7 @@ def plate(where: list[float], towards: list[float], **kw: Any) -> dict[str, Any]
     return {"type": "rectangle", "to_world": to_world, "bsdf": black, **kw}
 
 
+@pytest.mark.thorough
 @on_few_laws
 def test_exchanging_light_and_detector_changes_nothing(case: Case, effort: int) -> None:
     """One plate stands in the medium, one outside, at other distances and angles."""
@@ -654,6 +659,7 @@ def row_of_balls(depth: float, **kw: Any) -> dict[str, Any]:
     }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("light", ["flights", "shadow rays"])
 def test_transmittances_of_media_in_a_row_multiply(light: str) -> None:
     """Each stretch of one medium begins anew at a fixed point: the product of all ff."""

@@ -14,9 +14,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from build import MODELS, model_id
+from build import MODELS, QUICK, model_id
 from drjit.llvm.ad import Float64
-from tiers import THOROUGH
+from tiers import THOROUGH, quick
 
 import nonexp
 from nonexp import fitting, models, parameters
@@ -152,6 +152,7 @@ def test_weights_of_the_data_count() -> None:
     )
 
 
+@pytest.mark.thorough
 def test_whole_numbers_are_found_by_trial() -> None:
     x = np.linspace(0, 3, 300)
     y = curve("pulse", {"a": 0.5, "b": 2.5, "n": 5}, x)
@@ -262,7 +263,7 @@ def is_real(kind: Any) -> bool:
     return isinstance(kind, (parameters.Number, parameters.Vector))
 
 
-@pytest.mark.parametrize("case", MODELS, ids=model_id)
+@pytest.mark.parametrize("case", quick(MODELS, QUICK.__contains__), ids=model_id)
 def test_declared_scales_are_those_of_the_formula(case: Any) -> None:
     """ff(s tau; p) = ff(tau; p s^-scales) for the declared scales, and for no others."""
     tau = np.geomspace(0.02, 20, 25)
@@ -501,6 +502,7 @@ def test_models_are_compared_best_first() -> None:
     assert list(refused) == ["constant"]
 
 
+@pytest.mark.thorough
 def test_of_models_that_fit_alike_the_simpler_is_the_better() -> None:
     x = np.linspace(0, 4, 60)
     for sigma in (None, NOISE):

@@ -20,6 +20,7 @@ def test_volpath_agrees_with_itself(case: str, effort: int) -> None:
         assert_same(a, b, within=0.15)
 
 
+@pytest.mark.thorough
 def test_a_planted_bias_is_found() -> None:
     built = scene("volpath", **lobe(stock, "null", "area"))
     a, b = passes(built, 256, 1, GRID), passes(built, 256, 2, GRID)

@@ -200,6 +200,7 @@ def test_pulse_picks_length_biased_atoms(case: Any) -> None:
         np.testing.assert_allclose(share, weight / weight.sum(), rtol=0, atol=3 / DRAWS)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("case", [("pulse", p) for p in PULSES], ids=name)
 def test_pulse_survival_drops_at_the_very_atoms(case: Any) -> None:
     model = held(case)

@@ -321,6 +321,7 @@ def test_equal_weights_are_the_default() -> None:
     assert even.ff(3.0) == create("ensemble", sigma=(0.2, 1.8), weight=(7, 7)).ff(3.0)
 
 
+@pytest.mark.thorough
 def test_models_can_be_made_in_threads() -> None:
     def make(shape: float) -> float:
         return float(create("ensemble", law="gamma", args=(shape, 0, 1 / shape)).ff(Float(2.0))[0])

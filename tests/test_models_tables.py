@@ -690,6 +690,7 @@ def test_table_and_module_beside_the_scene_file(tmp_path: Path) -> None:
         )
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("variant", ["llvm_ad_rgb", "llvm_ad_spectral", "llvm_ad_rgb_double"])
 def test_light_that_crosses(variant: str) -> None:
     if variant not in mi.variants():

@@ -14,6 +14,8 @@ from matplotlib.figure import Figure
 from nonexp import fitting, models
 from nonexp.fitting import plot as plotting
 
+pytestmark = pytest.mark.thorough
+
 matplotlib.use("Agg")
 
 DRAWS = 2**16

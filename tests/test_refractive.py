@@ -259,6 +259,7 @@ def refracted(meet: Any, x: Any, w: Any) -> tuple[Any, Any]:
     return p, tangential + np.sqrt(np.maximum(1 - square, 0)) * n
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("infinite", [False, *thorough(True)], ids=["near", "at infinity"])
 @pytest.mark.parametrize("name", quick(CASES, {"sphere", "mesh with UVs"}.__contains__))
 def test_crossings(name: str, infinite: bool) -> None:
@@ -394,6 +395,7 @@ def sky() -> dict[str, Any]:
 POINTS = [[0, 0, 0], [0.2, 0.3, 0.1], [0.7, 0.1, 0.1], [-0.4, 0.6, 0.2]]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("light", ["panel", *thorough("bulb", "sky")])
 @pytest.mark.parametrize("kind", ["sphere", *thorough("mesh with UVs")])
 def test_connections_estimate_what_rays_find(kind: str, light: str, effort: int) -> None:

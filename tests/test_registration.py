@@ -31,10 +31,12 @@ def test_import_before_the_variant_is_set() -> None:
     run(f"import nonexp\nimport mitsuba as mi\nmi.set_variant('llvm_ad_rgb'){MAKE}")
 
 
+@pytest.mark.thorough
 def test_import_after_the_variant_is_set(tmp_path: Path) -> None:
     run(f"import mitsuba as mi\nmi.set_variant('llvm_ad_mono')\nimport nonexp{MAKE}", tmp_path)
 
 
+@pytest.mark.thorough
 def test_entry_point_module_registers_and_bears_reloading() -> None:
     # Mitsuba 3.10 loads it by entry point; 3.9, which runs here, has no such mechanism.
     run(
@@ -44,6 +46,7 @@ def test_entry_point_module_registers_and_bears_reloading() -> None:
     )
 
 
+@pytest.mark.thorough
 def test_metal_is_supported_and_registered() -> None:
     """As far as it can be seen without a Mac: with the classes of another variant."""
     assert plugins.supported("metal_ad_rgb") and not plugins.supported("metal_rgb_polarized")
@@ -76,6 +79,7 @@ def picture(seed: int = 1, alpha: float = 2.0) -> tuple[object, np.ndarray]:
     return built, np.array(mi.render(built, spp=16, seed=seed))
 
 
+@pytest.mark.thorough
 def test_switching_variants_back_and_forth() -> None:
     built, first = picture()
     mi.set_variant("llvm_ad_mono")

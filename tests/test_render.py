@@ -347,6 +347,7 @@ def test_without_a_variant_it_is_said_what_to_call() -> None:
     assert said == "no variant is set: call mitsuba.set_variant('llvm_ad_rgb') first\n"
 
 
+@pytest.mark.thorough
 def test_threads_render_one_after_the_other() -> None:
     """Without a lock Dr.Jit mixes up what the threads record, and aborts or raises."""
     said = in_a_process(

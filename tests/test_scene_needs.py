@@ -164,18 +164,21 @@ def test_no_medium_no_trace_of_one() -> None:
     assert operations(ball=ball(medium(), "dielectric"), lamp=LAMP) > bare
 
 
+@pytest.mark.thorough
 def test_sealed_medium_needs_no_connections_through_it() -> None:
     inside = (medium(), medium(sample_emitters=False))
     counts = [operations(STRAIGHT, ball=ball(m, "dielectric"), lamp=LAMP) for m in inside]
     assert counts[0] == counts[1] < operations(ball=ball(medium(), "roughdielectric"), lamp=LAMP)
 
 
+@pytest.mark.thorough
 def test_null_surfaces_cost_only_where_there_are_some() -> None:
     diffuse = {"type": "sphere", "bsdf": {"type": "diffuse"}}
     opaque = {"type": "sphere", "bsdf": {"type": "mask", "opacity": 0.5, "bsdf": diffuse["bsdf"]}}
     assert operations(ball=diffuse, lamp=LAMP) < operations(ball=opaque, lamp=LAMP)
 
 
+@pytest.mark.thorough
 def test_fewer_operations_than_volpath() -> None:
     for boundary in ("dielectric", "null"):
         ours = operations(STRAIGHT, ball=ball(medium(), boundary), lamp=LAMP)
@@ -230,6 +233,7 @@ def fog(model: str = "exponential", **kw: Any) -> dict[str, Any]:
     return {"ball": ball(medium(model, **kw)), "lamp": LAMP}
 
 
+@pytest.mark.thorough
 def test_scenes_that_are_gone_leave_nothing_behind() -> None:
     """Neither fog, whose shadow rays need a second scene, nor glass through which rays bend."""
     alone = operations(**fog())
@@ -240,6 +244,7 @@ def test_scenes_that_are_gone_leave_nothing_behind() -> None:
     assert operations(**fog()) == alone
 
 
+@pytest.mark.thorough
 def test_grey_extinction_holds_no_spectra() -> None:
     """However it is written; colour costs a tenth more at least, and only then."""
     grey = operations(**fog(sigma_t=0.7))
@@ -247,6 +252,7 @@ def test_grey_extinction_holds_no_spectra() -> None:
     assert operations(**fog(sigma_t={"type": "rgb", "value": [0.7, 0.7, 0.1]})) > 1.1 * grey
 
 
+@pytest.mark.thorough
 def test_tracking_only_for_heterogeneous_media() -> None:
     values = mi.VolumeGrid(np.ones((2, 2, 2, 1), dtype=np.float32))
     cloud = {"type": "heterogeneous", "sigma_t": {"type": "gridvolume", "grid": values}}
@@ -256,6 +262,7 @@ def test_tracking_only_for_heterogeneous_media() -> None:
     assert kernel(ball=ball(cloud), lamp=LAMP).loops == tracking
 
 
+@pytest.mark.thorough
 def test_shadow_rays_without_null_surfaces_are_occlusion_tests() -> None:
     rough = {"type": "roughdielectric"}
     assert kernel(ball=ball(medium(), rough), lamp=LAMP).loops == {"path"}
@@ -263,6 +270,7 @@ def test_shadow_rays_without_null_surfaces_are_occlusion_tests() -> None:
     assert kernel(box=fog, lamp=LAMP).loops == {"path", "shadow ray"}
 
 
+@pytest.mark.thorough
 def test_shadow_rays_do_not_walk_past_a_single_ball() -> None:
     assert kernel(ball=ball(medium()), lamp=LAMP).loops == {"path"}
     two = {"other": {**ball(medium()), "center": [3, 0, 0]}}
@@ -272,6 +280,7 @@ def test_shadow_rays_do_not_walk_past_a_single_ball() -> None:
     assert kernel(ball=ball(medium()), lamp=LAMP, **inner).loops == {"path", "shadow ray"}
 
 
+@pytest.mark.thorough
 def test_no_connections_where_nothing_could_use_them() -> None:
     """Smooth glass and gold only, and a medium that does not connect."""
     inside = medium(sample_emitters=False)
@@ -288,6 +297,7 @@ def test_points_and_directions_are_not_looked_for_on_surfaces() -> None:
     assert "Emitter::eval()" in kernel(floor=DIFFUSE, lamp=LAMP).calls
 
 
+@pytest.mark.thorough
 def test_no_medium_is_called_in_the_scene_of_one() -> None:
     """One medium is called directly, several through an index, those of other scenes never."""
 

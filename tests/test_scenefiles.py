@@ -26,6 +26,8 @@ from nonexp.scene import (
 )
 from nonexp.scene.messages import SceneError
 
+pytestmark = pytest.mark.thorough
+
 SCENES = Path(__file__).resolve().parent.parent / "scenes"
 
 SCENE = """

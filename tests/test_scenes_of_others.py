@@ -10,6 +10,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from build import medium, perspective, scene
+from tiers import quick, thorough
 
 from nonexp.integrators import report
 from nonexp.integrators.needs import SceneNeeds, forgotten_media
@@ -87,7 +88,10 @@ def _endless(pipe: Any, name: str) -> None:
     pipe.send(float(image[..., :3].mean()))
 
 
-@pytest.mark.parametrize(("name", "value"), [("lamp", 0.5595), ("mask", None), ("plane", None)])
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("lamp", 0.5595), *thorough(("mask", None), ("plane", None), several=True)],
+)
 def test_render_ends(name: str, value: float | None) -> None:
     """Targets of shadow rays on surfaces that let light through, and walls in such a plane."""
     found = _within(120, name)
@@ -96,6 +100,7 @@ def test_render_ends(name: str, value: float | None) -> None:
         assert found == pytest.approx(value, abs=0.003)
 
 
+@pytest.mark.thorough
 def test_a_lamp_with_a_mask_is_as_by_mitsuba() -> None:
     mask = {"type": "mask", "opacity": 0.3, "nested": {"type": "diffuse"}}
     lamp = {**LAMP, "bsdf": mask}
@@ -169,7 +174,11 @@ LEAVES = {
 
 @pytest.mark.parametrize(
     ("around", "leaf"),
-    [("normalmap", leaf) for leaf in LEAVES] + [("bumpmap", "mask"), ("mixed", "mask")],
+    quick(
+        [*(("normalmap", leaf) for leaf in LEAVES), ("bumpmap", "mask"), ("mixed", "mask")],
+        lambda case: case == ("normalmap", "mask"),
+        several=True,
+    ),
 )
 def test_surfaces_that_do_not_tell_what_passes(around: str, leaf: str) -> None:
     """A leaf under a lamp is as by ``path``, which asks no surface what passes."""
@@ -225,6 +234,7 @@ def test_majorant_of_a_coloured_volume(variant: str) -> None:
 # ------------------------------------------------------------------------------ derivatives
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("mode", ("forward", "backward"))
 def test_derivatives_through_an_evaluated_loop(mode: str) -> None:
     """As by Mitsuba's path tracer, with the same random numbers."""

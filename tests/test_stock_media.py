@@ -43,6 +43,7 @@ def parts(inside: Any, boundary: str = "null") -> dict[str, Any]:
     return {"sensor": camera, "ball": ball(inside, boundary), "lamp": LAMP, "sky": FURNACE}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("boundary", ["null", *thorough("dielectric")])
 @pytest.mark.parametrize(
     "inside",

@@ -122,6 +122,7 @@ def test_looks_are_rare_and_the_same_for_all() -> None:
     assert 0.03 < steps.min() <= steps.max() <= 0.05
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("shape", [2.0, *thorough(0.2)])
 @pytest.mark.parametrize("size", [(4, 5), *thorough((16, 20))])
 def test_the_target_is_held_in_95_of_100_runs(size: tuple[int, int], shape: float) -> None:

@@ -34,6 +34,8 @@ from measure import assert_mean, assert_same, assert_share, passes, radiance
 from scipy import stats
 from tiers import THOROUGH, quick, thorough
 
+pytestmark = pytest.mark.thorough
+
 TABLE = {"tau": (0.0, 0.5, 1.0, 2.0), "ff": (1.0, 0.6, 0.35, 0.1)}
 LAWS: list[Case] = [
     ("exponential", {}),
