@@ -55,10 +55,20 @@ def coincident(shapes: Sequence[Any], distance: float) -> Coincident:
     crossed = [shape.is_medium_transition() or _passes(shape) for shape in seen]
     if recording() or not any(crossed):
         return Coincident()
-    states = [state(shape) for shape in seen]
-    kinds = [shape.class_name() for shape in seen]
-    key = distance, *zip(crossed, kinds, (numbers for _, numbers in states), strict=True)
-    pairs, doubled = _known.get(key, states, lambda: _looked_for(seen, crossed, distance))
+    # Boxes are cheap to look at in each render, and nearly always tell that there is nothing.
+    boxes = np.array([[*box.min, *box.max] for box in (shape.bbox() for shape in seen)])
+    key: Any = distance, tuple(crossed), boxes.tobytes()
+    near = _known.get(key, None, lambda: _near(boxes.reshape(-1, 2, 3), crossed, distance))
+    single = [i for i, shape in enumerate(seen) if crossed[i] and _may_be_doubled(shape)]
+    if not (near or single):
+        return Coincident()
+    involved = sorted({*single, *(i for pair in near for i in pair)})
+    states = [state(seen[i]) for i in involved]
+    key = (
+        *key,
+        *((i, seen[i].class_name(), n) for i, (_, n) in zip(involved, states, strict=True)),
+    )
+    pairs, doubled = _known.get(key, states, lambda: _looked_for(seen, near, single, distance))
     groups = _groups([*pairs, *((i, i) for i in doubled)])
     order = [i for group in groups for i in group]
     return Coincident(
@@ -84,21 +94,26 @@ def _scattering(shape: Any) -> int:
     return _TRANSMITTING if mi.has_flag(bsdf.flags(), through) else _OPAQUE
 
 
+def _may_be_doubled(shape: Any) -> bool:
+    return bool(shape.is_mesh()) and _scattering(shape) == _PASSING
+
+
+def _near(boxes: Any, crossed: list[bool], distance: float) -> list[tuple[int, int]]:
+    """Pairs of shapes whose boxes touch, one of them to be crossed."""
+    found: set[tuple[int, int]] = set()
+    for i in np.flatnonzero(crossed).tolist():
+        touching = _overlap(np.moveaxis(boxes, 1, 0), boxes[i][:, None], distance).all(axis=1)
+        found |= {(min(i, j), max(i, j)) for j in np.flatnonzero(touching).tolist() if j != i}
+    return sorted(found)
+
+
 def _looked_for(
-    shapes: list[Any], crossed: list[bool], distance: float
+    shapes: list[Any], near: list[tuple[int, int]], single: list[int], distance: float
 ) -> tuple[list[tuple[int, int]], dict[int, Any]]:
-    surfaces = [_Surface(shape) for shape in shapes]
-    pairs = [
-        (i, j)
-        for j in range(len(shapes))
-        for i in range(j)
-        if (crossed[i] or crossed[j]) and surfaces[i].meets(surfaces[j], distance)
-    ]
+    surfaces = {i: _Surface(shapes[i]) for pair in near for i in pair}
+    pairs = [(i, j) for i, j in near if surfaces[i].meets(surfaces[j], distance)]
     doubled = {
-        i: faces
-        for i, shape in enumerate(shapes)
-        if crossed[i] and shape.is_mesh() and _scattering(shape) == _PASSING
-        if (faces := _back_to_back(_triangles(shape), distance)).any()
+        i: faces for i in single if (faces := _back_to_back(_triangles(shapes[i]), distance)).any()
     }
     return pairs, doubled
 
@@ -125,9 +140,7 @@ class _Surface:
         self.box = np.array([bounds.min, bounds.max], dtype=float)
 
     def meets(self, other: _Surface, distance: float) -> bool:
-        """Whether both have parts in one place."""
-        if not _overlap(self.box, other.box, distance).all():
-            return False
+        """Whether both, whose boxes touch, have parts in one place."""
         if self._is_flat and other._is_flat:
             return self._shares_plane(other, distance)
         if self._kind != other._kind or self._is_flat or other._is_flat:

@@ -172,10 +172,11 @@ def _silent(shapes: list[Any]) -> tuple[Any, ...]:
     Mitsuba's ``normalmap`` and ``bumpmap`` are such, around whatever lets rays through.
     """
     found: list[Any] = []
-    for bsdf in (shape.bsdf() for shape in shapes if _scatters(shape, mi.BSDFFlags.Null)):
+    passing = (shape.bsdf() for shape in shapes if _scatters(shape, mi.BSDFFlags.Null))
+    for bsdf in (bsdf for bsdf in passing if bsdf.class_name() != "Null"):
         parts = [node for node in mi.traverse(bsdf).hierarchy if isinstance(node, mi.BSDF)]
-        passing = (part for part in parts if mi.has_flag(part.flags(), mi.BSDFFlags.Null))
-        if bsdf not in found and not all(map(_tells, passing)):
+        let_through = (part for part in parts if mi.has_flag(part.flags(), mi.BSDFFlags.Null))
+        if bsdf not in found and not all(map(_tells, let_through)):
             found.append(bsdf)
     return tuple(found)
 
