@@ -51,7 +51,7 @@ class NonexpVolpath(mi.SamplingIntegrator):
         self.rr_depth = _integer(props, "rr_depth", 5, "an integer > 0", 1)
         self.hide_emitters = props.get("hide_emitters", False)
         self.refractive_nee = _choice(props, "refractive_nee", ("auto", "on", "off"))
-        self._warned = False
+        self._warned, self._results = False, None
         self._subscenes, self._contact_scenes = Subscenes(), Subscenes()
 
     def sample(
@@ -87,6 +87,8 @@ class NonexpVolpath(mi.SamplingIntegrator):
             events.event,
             label="nonexp: path",
         )
+        # Where reverse mode fails on a loop of which results are gone, Dr.Jit 1.5 crashes at exit.
+        self._results = path if dr.grad_enabled(path) else None
         return path.radiance, path.opaque, []
 
     def _warn(self, scene: mi.Scene, medium: Any) -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import multiprocessing
+import subprocess
+import sys
 from typing import Any
 
 import drjit as dr
@@ -232,6 +234,28 @@ def test_majorant_of_a_coloured_volume(variant: str) -> None:
 
 
 # ------------------------------------------------------------------------------ derivatives
+
+
+BACKWARD = """
+import drjit as dr, mitsuba as mi, nonexp
+mi.set_variant("llvm_ad_rgb")
+wall = {"type": "rectangle", "bsdf": {"type": "diffuse"}}
+lamp = {"type": "point", "position": [0, 0, 5]}
+scene = {"type": "scene", "i": {"type": "nonexp_volpath"}, "c": {"type": "perspective"}}
+built = mi.load_dict({**scene, "wall": wall, "lamp": lamp})
+parameters = mi.traverse(built)
+dr.enable_grad(parameters["wall.bsdf.reflectance.value"])
+parameters.update()
+dr.backward(dr.mean(built.integrator().render(built, spp=1), axis=None))
+"""
+
+
+@pytest.mark.thorough
+def test_a_derivative_that_fails_ends_with_its_message() -> None:
+    """Reverse mode through a symbolic loop: an exception, and no crash at exit."""
+    done = subprocess.run([sys.executable, "-c", BACKWARD], capture_output=True, text=True)
+    assert done.returncode == 1
+    assert "max_iterations" in done.stderr
 
 
 @pytest.mark.thorough
