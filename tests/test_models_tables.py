@@ -712,3 +712,8 @@ def test_light_that_crosses(variant: str) -> None:
 def test_messages_name_the_field_like_other_models() -> None:
     with pytest.raises(ValueError, match=re.escape("Tabulated.tau[1] is -1: it must be")):
         tabulated(tau=(0, -1), ff=(1, 0))
+
+
+def test_rounding_beyond_the_range_is_taken_back() -> None:
+    table = models.create("tabulated", tau=(0.0, 1.0, 2.0), ff=(1 + 1e-9, 0.4, 0.0))
+    assert table.ff(0.0) == 1

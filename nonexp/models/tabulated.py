@@ -93,8 +93,9 @@ def _convex(table: Columns) -> tuple[Any, Any]:
 
     for i in np.flatnonzero(~(np.isfinite(tau) & np.isfinite(ff))):
         refuse(i, "both must be finite")
-    for i in np.flatnonzero((ff < 0) | (ff > 1)):
+    for i in np.flatnonzero((ff < -_ROUNDING) | (ff > 1 + _ROUNDING)):
         refuse(i, "ff must be in [0, 1]")
+    ff = np.clip(ff, 0, 1)
     for i in np.flatnonzero((tau < 0) | ((tau > 0) & (tau < 1e-18)) | (tau > 1e18)):
         refuse(i, "tau must be 0, or in [1e-18, 1e18]")
     for i in np.flatnonzero(np.diff(tau) == 0) + 1:
