@@ -52,7 +52,7 @@ def coincident(shapes: Sequence[Any], distance: float) -> Coincident:
     function is being frozen, which can read nothing.
     """
     seen = [shape for shape in shapes if shape.is_mesh() or shape.class_name() in _KINDS]
-    crossed = [shape.is_medium_transition() or _passes(shape) for shape in seen]
+    crossed = [shape.is_medium_transition() or scatters(shape, mi.BSDFFlags.Null) for shape in seen]
     if recording() or not any(crossed):
         return Coincident()
     # Boxes are cheap to look at in each render, and nearly always tell that there is nothing.
@@ -80,8 +80,10 @@ def coincident(shapes: Sequence[Any], distance: float) -> Coincident:
     )
 
 
-def _passes(shape: Any) -> bool:
-    return shape.bsdf() is not None and mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Null)
+def scatters(shape: Any, flag: mi.BSDFFlags) -> bool:
+    """Whether the BSDF of a shape, if it has one, has a flag."""
+    bsdf = shape.bsdf()
+    return bsdf is not None and bool(mi.has_flag(bsdf.flags(), flag))
 
 
 def _scattering(shape: Any) -> int:

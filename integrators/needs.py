@@ -14,7 +14,7 @@ import numpy as np
 from nonexp.scene import walk
 from nonexp.system import insides
 
-from .coincident import Coincident, coincident
+from .coincident import Coincident, coincident, scatters
 from .jit import Remembered
 from .media import entry_of
 from .rays import Offset, place, state
@@ -87,12 +87,12 @@ class SceneNeeds:
         return SceneNeeds(
             media=tuple(media),
             sealed=tuple(m for m in media if m != start and _sealed(scene, shapes, m)),
-            smooth_surfaces=any(_scatters(shape, mi.BSDFFlags.Smooth) for shape in shapes),
+            smooth_surfaces=any(scatters(shape, mi.BSDFFlags.Smooth) for shape in shapes),
             smooth_boundaries=any(
-                shape.is_medium_transition() and _scatters(shape, mi.BSDFFlags.Smooth)
+                shape.is_medium_transition() and scatters(shape, mi.BSDFFlags.Smooth)
                 for shape in shapes
             ),
-            null_surfaces=any(_scatters(shape, mi.BSDFFlags.Null) for shape in shapes),
+            null_surfaces=any(scatters(shape, mi.BSDFFlags.Null) for shape in shapes),
             emitters=bool(emitter_flags),
             hittable_emitters=any(not mi.has_flag(flags, delta) for flags in emitter_flags),
             delta_emitters=any(mi.has_flag(flags, delta) for flags in emitter_flags),
@@ -150,7 +150,7 @@ def _dot(a: Any, b: Any) -> Any:
 
 def _null_ball(shapes: list[Any], media: list[Any]) -> Any:
     """The only shape that lets anything straight through, if it is a plain sphere of the medium."""
-    null = [shape for shape in shapes if _scatters(shape, mi.BSDFFlags.Null)]
+    null = [shape for shape in shapes if scatters(shape, mi.BSDFFlags.Null)]
     bounds = [shape for shape in shapes if shape.is_medium_transition()]
     if len(null) != 1 or bounds != null or len(media) != 1:
         return None
@@ -161,18 +161,13 @@ def _null_ball(shapes: list[Any], media: list[Any]) -> Any:
     return ball if plain and inside else None
 
 
-def _scatters(shape: mi.Shape, flag: mi.BSDFFlags) -> bool:
-    bsdf = shape.bsdf()
-    return bsdf is not None and bool(mi.has_flag(bsdf.flags(), flag))
-
-
 def _silent(shapes: list[Any]) -> tuple[Any, ...]:
     """BSDFs of which some part passes rays on, but does not implement ``eval_null_transmission``.
 
     Mitsuba's ``normalmap`` and ``bumpmap`` are such, around whatever lets rays through.
     """
     found: list[Any] = []
-    passing = (shape.bsdf() for shape in shapes if _scatters(shape, mi.BSDFFlags.Null))
+    passing = (shape.bsdf() for shape in shapes if scatters(shape, mi.BSDFFlags.Null))
     for bsdf in (bsdf for bsdf in passing if bsdf.class_name() != "Null"):
         parts = [node for node in mi.traverse(bsdf).hierarchy if isinstance(node, mi.BSDF)]
         let_through = (part for part in parts if mi.has_flag(part.flags(), mi.BSDFFlags.Null))
@@ -199,7 +194,7 @@ def _sealed(scene: mi.Scene, shapes: list[Any], medium: Any) -> bool:
         if shape.class_name() == "Instance":
             return False
         if shape.interior_medium() == medium:
-            if _scatters(shape, mi.BSDFFlags.Null) or not _encloses(shape):
+            if scatters(shape, mi.BSDFFlags.Null) or not _encloses(shape):
                 return False
             shells.append(shape.bbox())
         elif shape.exterior_medium() == medium:
