@@ -280,6 +280,11 @@ class Connections:
             if self.ball:
                 distance = self.ball.length(vertex.p, d, distance, media.inside(location))
             sigma_t = media.sigma_t(location, medium_interaction(d, vertex))
+            if media.walks:
+                distance = media.ask(
+                    "column", location, vertex.p, d, distance, sigma_t,
+                    active=active & media.inside(location),
+                )  # fmt: skip
             tau = optical_depth(sigma_t, distance)
             survival = media.ask("survival", location, start.from_particle, tau)
             if media.tracks:
@@ -327,7 +332,12 @@ class Connections:
                 length = dr.maximum(dr.select(hit, dr.dot(si.p - s.start, d), remaining(s)), 0)
                 inside = s.active & media.inside(s.location)
                 sigma_t = media.sigma_t(s.location, medium_interaction(d, vertex))
-                tau = optical_depth(sigma_t, length)
+                column = length
+                if media.walks:
+                    column = media.ask(
+                        "column", s.location, s.start, d, length, sigma_t, active=inside
+                    )
+                tau = optical_depth(sigma_t, column)
                 s.tau = type(s.tau)(dr.select(inside, s.tau + tau, s.tau))
                 if media.tracks:
                     tracked = inside & media.where("tracked", s.location)

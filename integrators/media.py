@@ -21,9 +21,11 @@ import mitsuba as mi
 import numpy as np
 
 from nonexp import models
+from nonexp.plugins.density import Density
 from nonexp.plugins.spectra import grey, somewhere, visible
 from nonexp.transmittance import Draw, Transmittance
 
+from . import walk
 from .jit import Numbering, opaque, recording
 from .rays import Contact
 
@@ -81,11 +83,28 @@ class Entry(ABC):
     """extinction differs between channels or wavelengths"""
     constant: bool
     """extinction depends neither on direction nor on wavelengths that differ from path to path"""
+    emission: Callable[..., Any] | None
+    """source function at a medium interaction; None if it does not emit"""
 
     @property
     def tracked(self) -> bool:
-        """Flights are tracked step by step."""
+        """Flights are tracked by null collisions."""
         return isinstance(self, Tracked)
+
+    @property
+    def walked(self) -> bool:
+        """Flights walk through the cells of a grid."""
+        return isinstance(self, Walked)
+
+    @property
+    def varies(self) -> bool:
+        """Density varies in space: extinction does not give the length of a flight."""
+        return self.walked or self.tracked
+
+    @property
+    def emits(self) -> bool:
+        """Its particles emit light."""
+        return self.emission is not None
 
     @property
     def samples(self) -> bool:
@@ -121,6 +140,18 @@ class Entry(ABC):
         one that drew it; ``drawn``: its optical depth, if it ``collided``.
         """
 
+    def distance(self, o: Any, d: Any, length: Any, column: Any, active: Any) -> tuple[Any, Any]:
+        """Distance along a ray over which the density integrates to ``column``, if it is not beyond
+        ``length``; and the integral up to there, or to ``length``. Without units where tracked."""
+        return column, length
+
+    def column(self, o: Any, d: Any, length: Any, sigma_t: Any, active: Any) -> Any:
+        """Integral of the density along a ray: times extinction ``sigma_t`` its optical depth.
+
+        May be less where nothing arrives in any case.
+        """
+        return length
+
     @abstractmethod
     def bounds(self, ray: Any, active: Any) -> tuple[Any, Any, Any]:
         """If tracked: distances at which a ray enters and leaves the data, and the majorant of
@@ -136,6 +167,12 @@ class Entry(ABC):
         value, pdf = phase.eval_pdf(context, mei, wo, active)
         sampled, weight, sampled_pdf = phase.sample(context, mei, u1, u2, active)
         return Scatter(self.albedo(mei, active), value, pdf, sampled, weight, sampled_pdf)
+
+    def emitted(self, mei: Any, active: Any) -> Any:
+        """Light that collisions ``mei`` add to their paths."""
+        if self.emission is None:
+            return mi.UnpolarizedSpectrum(0)
+        return mi.UnpolarizedSpectrum((1 - self.albedo(mei, active)) * self.emission(mei, active))
 
 
 class Homogeneous(Entry):
@@ -182,6 +219,27 @@ class Homogeneous(Entry):
 
 
 @dataclass(frozen=True)
+class Walked(Homogeneous):
+    """A medium whose density lies on a grid, with any law.
+
+    Its ``extinction`` is that where the density is 1. A flight draws an optical depth as in a
+    homogeneous medium, and the integral of the density is inverted exactly.
+    """
+
+    density: Density
+    reach: Any
+    """optical depth from which on nothing arrives"""
+
+    def distance(self, o: Any, d: Any, length: Any, column: Any, active: Any) -> tuple[Any, Any]:
+        return walk.distance(self.density, o, d, length, column, active)
+
+    def column(self, o: Any, d: Any, length: Any, sigma_t: Any, active: Any) -> Any:
+        least = sigma_t if dr.depth_v(sigma_t) == 1 else dr.min(sigma_t)
+        most = dr.select(least > 0, self.reach / least, dr.inf)
+        return walk.column(self.density, o, d, length, most, active)
+
+
+@dataclass(frozen=True)
 class Tracked(Entry):
     """A heterogeneous medium of Mitsuba's own: exponential, tracked with null collisions.
 
@@ -221,8 +279,12 @@ def entry_of(pointer: Any, sealed: bool) -> Entry | None:
         if isinstance(model.sigma_bar, float) and model.sigma_bar == 0:
             return None
         chromatic, oriented = pointer.chromatic, pointer.oriented
-        extinction, albedo = pointer.extinction, pointer.eval_albedo
+        extinction, albedo, density = pointer.extinction, pointer.eval_albedo, pointer.density
+        emission = pointer.eval_emission if pointer.emits else None
+        if density is not None and pointer.most == 0:
+            return None
     else:
+        emission = density = None
         model, albedo = models.create("exponential"), partial(_stock_albedo, pointer)
         if not pointer.is_homogeneous():
             return _tracked(pointer, model, albedo, sealed)
@@ -238,7 +300,10 @@ def entry_of(pointer: Any, sealed: bool) -> Entry | None:
             return None
         dr.make_opaque(value)
         extinction = partial(_always, value)
-    return Homogeneous(pointer, model, extinction, albedo, sealed, chromatic, constant)
+    common = pointer, model, extinction, albedo, sealed, chromatic, constant, emission
+    if density is None:
+        return Homogeneous(*common)
+    return Walked(*common, density, pointer.reach)
 
 
 def _tracked(pointer: Any, model: Transmittance, albedo: Any, sealed: bool) -> Entry | None:
@@ -257,7 +322,7 @@ def _tracked(pointer: Any, model: Transmittance, albedo: Any, sealed: bool) -> E
             most = float(values.max()) * (1.01 if chromatic and mi.is_spectral else 1)
             majorant = opaque(mi.Float, max(most, float(dr.detach(majorant)[0])))
     unit = partial(_always, mi.Float(1))
-    return Tracked(pointer, model, unit, albedo, sealed, chromatic, True, majorant)
+    return Tracked(pointer, model, unit, albedo, sealed, chromatic, True, None, majorant)
 
 
 def _count_draws(sample: Callable[[Draw], Any]) -> int:
@@ -323,7 +388,9 @@ class Media(ABC):
         self.chromatic = self.any("chromatic")
         """Extinction of some medium differs between channels or wavelengths."""
         self.tracks = self.any("tracked")
-        """Flights through some medium are tracked step by step."""
+        """Flights through some medium are tracked by null collisions."""
+        self.walks = self.any("walked")
+        """Flights through some medium walk through a grid."""
         self._draws = max(entry.draws for entry in entries)
 
     def any(self, fact: str) -> bool:

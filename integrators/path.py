@@ -44,7 +44,7 @@ class Flight:
     drawn: Any
     """optical depth of this flight in all (with null surfaces and chromatic extinction)"""
     flown: Any
-    """distance from where this flight began to the last event (likewise)"""
+    """integral of the density from where this flight began to the last event (likewise)"""
     balance: Any
     """weight of each channel, with mean 1 (chromatic extinction)"""
 
@@ -126,12 +126,12 @@ class Arrival:
     """extinction that the flight was drawn with"""
     tau: Any = None
     """optical depth left at its start"""
-    gap: Any = None
-    """distance from the last event to the origin of the ray"""
+    column: Any = None
+    """integral of the density from the last event to the surface; where that is 1, the distance"""
     drawn: Any = None
     """optical depth of the flight in all (with null surfaces and chromatic extinction)"""
     reached: Any = None
-    """distance from where the flight began to the surface (likewise)"""
+    """integral of the density from where the flight began to the surface (likewise)"""
     tracked: Any = None
     """flown by null collisions"""
     balance: Any = None
@@ -251,6 +251,10 @@ class Events:
         if emission:
             emitted = emission.radiance if weight is None else emission.radiance * weight
             s.radiance = dr.select(emission.lit, dr.fma(a.carried, emitted, s.radiance), s.radiance)
+        if self.media and s.flight and self.media.any("emits"):
+            mei = medium_interaction(s.d, a.ray, a.p)
+            light = self.media.ask("emitted", s.flight.location, mei, active=a.collided)
+            s.radiance = dr.select(a.collided, dr.fma(a.carried, light, s.radiance), s.radiance)
         scattering = self.scatter(sampler, s, a, link.wo if link else mi.Vector3f(0, 0, 1))
         if link:
             light = self.arriving(sampler, s, a, vertex, link, scattering)
@@ -281,8 +285,17 @@ class Events:
         gap = dr.dot(flight.offset, s.d)
         travelled = tau / sigma_t  # from the last event, not from the ray's origin
         t_collision = travelled - gap
-        ray.maxt = dr.select(inside, dr.minimum(t_collision, s.far), s.far)
+        if not media.all("varies"):
+            known = inside & ~media.where("varies", location) if media.any("varies") else inside
+            ray.maxt = dr.select(known, dr.minimum(t_collision, s.far), s.far)
         si, contact = self._intersect(ray, first, s.active)
+        column = si.t + gap
+        if media.walks:
+            o, end = dr.fma(-gap, s.d, s.o), dr.minimum(si.t, s.far) + gap
+            travelled, column = media.ask(
+                "distance", location, o, s.d, end, travelled, active=inside
+            )
+            t_collision = travelled - gap
         tracked = tracked_balance = None
         if media.tracks:
             tracked = inside & media.holds("tracked", location)
@@ -296,11 +309,11 @@ class Events:
         p = dr.select(collided, _collision(s, flight, travelled, gap), si.p)
         surface = first, last, ray, si, contact, si.bsdf()
         a = Arrival(*surface, collided, s.active & ~collided, p, s.throughput)
-        a.inside, a.sigma_t, a.tau, a.gap, a.drawn, a.tracked = (
-            inside, sigma_t, tau, gap, drawn, tracked,
+        a.inside, a.sigma_t, a.tau, a.column, a.drawn, a.tracked = (
+            inside, sigma_t, tau, column, drawn, tracked,
         )  # fmt: skip
         if self.chromatic:
-            a.reached = si.t + gap + flight.flown if self.null else si.t + gap
+            a.reached = column + flight.flown if self.null else column
             relative = extinction / dr.select(sigma_t > 0, sigma_t, 1)
             depths = dr.select(collided, relative * drawn, optical_depth(extinction, a.reached))
             densities = media.ask(
@@ -503,7 +516,7 @@ class Events:
         fresh = flight.fresh
         if self.null:
             fresh = flight.fresh = scattered | (beyond != flight.location)
-            flight.tau = dr.maximum(a.tau - a.sigma_t * (a.si.t + a.gap), 0)
+            flight.tau = dr.maximum(a.tau - a.sigma_t * a.column, 0)
         if self.chromatic:
             balance = a.balance
             if self.null:

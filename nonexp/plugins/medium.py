@@ -1,91 +1,70 @@
-"""The medium plugin: extinction, albedo, phase function and one transmittance model.
+"""The medium plugins: extinction, albedo, emission, phase function and one transmittance model.
 
 :mod:`nonexp.plugins` reloads this module for each variant.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from nonexp.plugins.spectra import grey, somewhere, visible
-from nonexp.system.insides import nested
-from nonexp.system.machine import supported
+from nonexp.plugins import grids, values
+from nonexp.plugins.density import Density, Placement
+from nonexp.plugins.spectra import grey, somewhere
+from nonexp.system import insides
 from nonexp.transmittance import Transmittance
 
-_PARAMETERS = (
-    "sigma_t",
-    "scale",
-    "albedo",
-    "sample_emitters",
-    "has_spectral_extinction",
-    "phase",
-    "transmittance",
-)
+_SHARED = ("sigma_t", "scale", "albedo", "emission", "sample_emitters", "has_spectral_extinction")
 
 
-class NonexpHomogeneous(mi.Medium):
-    """Plugin ``nonexp_homogeneous``: a homogeneous medium with any transmittance law.
+class NonexpMedium(mi.Medium):
+    """What both media share. Subclasses add what extinction is made of."""
 
-    Optical depth is ``tau = sigma_t * scale * distance``. Parameters, with the names, defaults and
-    ``mi.traverse`` paths of Mitsuba's ``homogeneous``:
-
-    ``sigma_t`` (float, rgb or spectrum, default 1)
-        Extinction per scene unit, >= 0.
-    ``scale`` (float, default 1)
-        Factor on the extinction, >= 0.
-    ``albedo`` (float, rgb, spectrum or volume, default 0.75)
-        Probability of scattering at a collision, in [0, 1].
-    ``sample_emitters`` (boolean, default true)
-        Whether collisions connect to emitters directly (next-event estimation).
-    nested phase function (default ``isotropic``)
-        Microflakes (``sggx``) multiply the extinction of a ray by their projected area along it;
-        their parameters must be constant in space.
-    nested ``transmittance_<model>`` (default ``transmittance_exponential``)
-        The law of transmittance over optical depth.
-
-    Mitsuba's own integrators see the exponential medium of the same mean extinction. Bad values
-    raise ``ValueError`` when the scene is loaded and at ``params.update()``, which then leaves the
-    medium as it was.
-    """
+    plugin: ClassVar[str]
+    own: ClassVar[tuple[str, ...]]
+    """parameters beside those that both have"""
 
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
-        laws = []
+        self.transmittance = self._law(props)
+        self.scale = mi.Float(values.number(props, "scale", 1.0))
+        self.albedo = values.volume(props, "albedo", 0.75)
+        self.emission = values.source(props, "emission")
+        self.m_has_spectral_extinction = props.get("has_spectral_extinction", True)
+        self._accepted: dict[str, Any] = {}  # the last values that were not refused
+
+    def _law(self, props: mi.Properties) -> Any:
+        """The nested law. Raises ``ValueError`` for parameters that the plugin does not have."""
+        names, laws = (*_SHARED, *self.own, "phase", "transmittance"), []
         for name in props.keys():
             value: Any = props[name] if props.type(name) == mi.Properties.Type.Object else None
             if hasattr(value, "model"):
                 laws.append(value)
             elif name == "phase" and not isinstance(value, mi.PhaseFunction):
                 raise ValueError(f"phase is {props[name]}: it must be a nested phase function")
-            elif name not in _PARAMETERS and not isinstance(value, mi.PhaseFunction):
+            elif name not in names and not isinstance(value, mi.PhaseFunction):
                 raise ValueError(
-                    f"nonexp_homogeneous has no parameter {name!r}: "
-                    f"its parameters are {', '.join(_PARAMETERS)}"
+                    f"{self.plugin} has no parameter {name!r}: "
+                    f"its parameters are {', '.join(names)}"
                 )
         if len(laws) > 1:
             raise ValueError(
-                f"nonexp_homogeneous holds {len(laws)} transmittances: it must be one at most"
+                f"{self.plugin} holds {len(laws)} transmittances: it must be one at most"
             )
         if "transmittance" in props and not laws:
             raise ValueError(
                 f"transmittance is {props['transmittance']!r}: it must be a nested texture "
                 "of type transmittance_<model>"
             )
-
-        self.transmittance = laws[0] if laws else _make("transmittance_exponential")
-        self.scale = mi.Float(_number(props, "scale", 1.0))
-        self.sigma_t, self._factor = _extinction_volume(props)
-        self.albedo = _volume(props, "albedo", 0.75)
-        self.m_is_homogeneous = True
-        self.m_has_spectral_extinction = props.get("has_spectral_extinction", True)
-        self._accepted: dict[str, Any] = {}  # the last values that were not refused
-        self._check()
+        return laws[0] if laws else values.make("transmittance_exponential")
 
     # ------------------------------------------------------------- what integrators use
+
+    density: Density | None = None
+    """Density on a grid, by which :meth:`extinction` is multiplied; None if it is constant."""
 
     @property
     def model(self) -> Transmittance:
@@ -104,14 +83,19 @@ class NonexpHomogeneous(mi.Medium):
         flags = self.phase_function().flags()
         return bool(mi.has_flag(flags, mi.PhaseFunctionFlags.Microflake))
 
+    @property
+    def emits(self) -> bool:
+        """Whether it emits light."""
+        return self._emits
+
     def extinction(self, mei: mi.MediumInteraction3f | None = None) -> Any:
-        """Extinction per scene unit, ``sigma_t * scale``, of a ray with the direction ``-mei.wi``.
+        """Extinction per scene unit, where the density is 1, of a ray with direction ``-mei.wi``.
 
         A number, or a spectrum at ``mei.wavelengths`` if the medium is chromatic. ``mei`` is
         needed only where the medium is chromatic in a spectral variant, or oriented.
         """
         mei = somewhere() if mei is None else mei
-        sigma_t = self.sigma_t.eval(mei) * (self.scale * self._factor)
+        sigma_t = self._spectrum(mei)
         sigma_t = sigma_t if self._chromatic else sigma_t[0]
         return sigma_t * self.phase_function().projected_area(mei) if self.oriented else sigma_t
 
@@ -119,12 +103,22 @@ class NonexpHomogeneous(mi.Medium):
         """Albedo at a collision."""
         return self.albedo.eval(mei, active)
 
+    def eval_emission(self, mei: mi.MediumInteraction3f, active: Any = True) -> mi.Spectrum:
+        """Source function at a collision: the radiance of a black body of the same emission."""
+        return self.emission.eval(mei, active) if self.emission else mi.UnpolarizedSpectrum(0)
+
+    def _spectrum(self, mei: Any) -> Any:
+        """Extinction over the channels, without that of oriented particles."""
+        raise NotImplementedError
+
     # ------------------------------------------------------------- Mitsuba's parameters
 
     def traverse(self, callback: mi.TraversalCallback) -> None:
         callback.put("scale", self.scale, mi.ParamFlags.Differentiable)
         callback.put("albedo", self.albedo, mi.ParamFlags.Differentiable)
         callback.put("sigma_t", self.sigma_t, mi.ParamFlags.Differentiable)
+        if self.emission:
+            callback.put("emission", self.emission, mi.ParamFlags.Differentiable)
         callback.put("transmittance", self.transmittance, mi.ParamFlags.Differentiable)
         super().traverse(callback)
 
@@ -134,27 +128,39 @@ class NonexpHomogeneous(mi.Medium):
     def _check(self) -> None:
         """Check all values; if they are refused, restore the last accepted ones."""
         parameters = mi.traverse(self)
-        own = [k for k in parameters.keys() if k.split(".")[0] in ("scale", "sigma_t", "albedo")]
+        others = ("transmittance", "phase_function")
+        own = [k for k in parameters.keys() if k.split(".")[0] not in others]
         try:
-            scale = np.array(self.scale)
-            sigma_t = _spectrum_of("sigma_t", self.sigma_t) * self._factor
-            if scale.size != 1:
-                raise ValueError(f"scale holds {scale.size} numbers: it must be one")
-            _check_range("scale", scale, dr.inf)
-            _check_range("sigma_t", sigma_t, dr.inf)
-            with np.errstate(over="ignore"):
-                _check_range("sigma_t * scale", sigma_t * scale, dr.inf)
-            _check_range("albedo", _values_of("albedo", self.albedo), 1.0)
-            _check_microflakes(self.phase_function())
+            extinction, emission = self._check_values()
         except ValueError:
             if self._accepted:
                 for key, value in self._accepted.items():
                     parameters[key] = value
                 parameters.update()
             raise
-        self._chromatic = not grey(sigma_t)
+        self._chromatic, self._emits = not grey(extinction), bool(np.any(emission > 0))
         dr.make_opaque(self.scale)
+        # Arrays are shared until somebody changes them: this copies no grid.
         self._accepted = {key: type(parameters[key])(parameters[key]) for key in own}
+
+    def _check_values(self) -> tuple[Any, Any]:
+        """Extinction and emission, over channels or wavelengths; ``ValueError`` if some value is
+        refused."""
+        scale = np.array(self.scale)
+        if scale.size != 1:
+            raise ValueError(f"scale holds {scale.size} numbers: it must be one")
+        values.check_range("scale", scale, dr.inf)
+        extinction = self._check_extinction(scale)
+        values.check_range("albedo", values.values_of("albedo", self.albedo), 1.0)
+        emission = np.zeros(1)
+        if self.emission:
+            emission = values.values_of("emission", self.emission)
+            values.check_range("emission", emission, dr.inf)
+        values.check_microflakes(self.phase_function())
+        return extinction, emission
+
+    def _check_extinction(self, scale: Any) -> Any:
+        raise NotImplementedError
 
     # ------------------------------------------------------------- the exponential counterpart
 
@@ -162,7 +168,7 @@ class NonexpHomogeneous(mi.Medium):
         return mi.Bool(True), mi.Float(0), mi.Float(dr.inf)
 
     def get_majorant(self, mei: mi.MediumInteraction3f, active: Any = True) -> mi.Spectrum:
-        _warn_counterpart()
+        _warn_counterpart(self.plugin)
         return mi.UnpolarizedSpectrum(self.extinction(mei) * self.model.sigma_bar) & active
 
     def get_scattering_coefficients(
@@ -172,130 +178,203 @@ class NonexpHomogeneous(mi.Medium):
         return sigma_t * self.eval_albedo(mei, active), mi.UnpolarizedSpectrum(0), sigma_t
 
     def to_string(self) -> str:
+        emission = f"  emission = {self.emission},\n" if self.emission else ""
         return (
-            "NonexpHomogeneous[\n"
+            f"{type(self).__name__}[\n"
             f"  sigma_t = {self.sigma_t},\n"
+            f"{self._shown()}"
             f"  scale = {self.scale},\n"
             f"  albedo = {self.albedo},\n"
+            f"{emission}"
             f"  phase_function = {self.phase_function()},\n"
             f"  transmittance = {self.transmittance}\n"
             "]"
         )
 
+    def _shown(self) -> str:
+        return ""
 
-# --------------------------------------------------------------------------------------------------
 
+class NonexpHomogeneous(NonexpMedium):
+    """Plugin ``nonexp_homogeneous``: a homogeneous medium with any transmittance law.
 
-def _make(plugin: str, **values: Any) -> Any:
-    """An instance of a plugin. Not by ``mi.load_dict``, which replaces the global file resolver
-    meanwhile: scenes load in parallel, and other plugins would not find their files.
+    Optical depth is ``tau = sigma_t * scale * distance``. Parameters, with the names, defaults and
+    ``mi.traverse`` paths of Mitsuba's ``homogeneous``:
+
+    ``sigma_t`` (float, rgb or spectrum, default 1)
+        Extinction per scene unit, >= 0.
+    ``scale`` (float, default 1)
+        Factor on the extinction, >= 0.
+    ``albedo`` (float, rgb, spectrum or volume, default 0.75)
+        Probability of scattering at a collision, in [0, 1].
+    ``emission`` (float, rgb, spectrum or volume, default none)
+        Source function, a radiance >= 0: what a black body of the temperature of the particles
+        emits. A collision adds ``(1 - albedo) * emission`` to the light of its path: an opaque
+        medium without scattering looks like a surface of this radiance.
+    ``sample_emitters`` (boolean, default true)
+        Whether collisions connect to emitters directly (next-event estimation).
+    nested phase function (default ``isotropic``)
+        Microflakes (``sggx``) multiply the extinction of a ray by their projected area along it;
+        their parameters must be constant in space.
+    nested ``transmittance_<model>`` (default ``transmittance_exponential``)
+        The law of transmittance over optical depth.
+
+    Mitsuba's own integrators see the exponential medium of the same mean extinction, without its
+    emission. Bad values raise ``ValueError`` when the scene is loaded and at ``params.update()``,
+    which then leaves the medium as it was.
     """
-    props = mi.Properties(plugin)
-    for name, value in values.items():
-        props[name] = value
-    return mi.PluginManager.instance().create_object(props)
+
+    plugin = "nonexp_homogeneous"
+    own = ()
+
+    def __init__(self, props: mi.Properties) -> None:
+        super().__init__(props)
+        self.sigma_t, self._factor = values.constant_coefficient(props, "sigma_t")
+        self.m_is_homogeneous = True
+        self._check()
+
+    def _spectrum(self, mei: Any) -> Any:
+        return self.sigma_t.eval(mei) * (self.scale * self._factor)
+
+    def _check_extinction(self, scale: Any) -> Any:
+        return _check_product("sigma_t", self.sigma_t, self._factor, scale)
 
 
-def _number(props: mi.Properties, name: str, default: float) -> float:
-    value = props.get(name, default)
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise ValueError(f"{name} is {value!r}: it must be a number")
-    return float(value)
+class NonexpHeterogeneous(NonexpMedium):
+    """Plugin ``nonexp_heterogeneous``: a medium whose density varies in space, with any law.
+
+    Extinction is ``extinction * scale * sigma_t(x)``, optical depth its integral along a ray, and
+    the law applies to that: one depth is drawn per flight, and the exact integral is inverted. A
+    scene written for Mitsuba's ``heterogeneous`` loads with only the type of its medium changed.
+    Parameters:
+
+    ``sigma_t`` (volume, or float, rgb or spectrum; default 1)
+        Density on a grid, a ``gridvolume``: trilinear or ``nearest`` filter, any wrap mode and
+        ``to_world``. All its values must be >= 0. It is zero outside of the cube that ``to_world``
+        makes of the unit cube. The wrap mode only decides what interpolation sees beyond the
+        outermost voxels. With three channels, these must be multiples of one grid. A
+        ``constvolume`` or a value is a density that is the same everywhere.
+    ``filename`` (string)
+        A grid file in place of ``sigma_t``: Mitsuba's ``.vol``, NumPy's ``.npy`` or ``.npz``, or
+        OpenVDB's ``.vdb`` or ``.nvdb`` (needs ``pip install nonexp[vdb]``). An array has the axes
+        z, y, x. It goes with ``field`` (string: name of a grid or array in the file),
+        ``to_world``, ``filter_type`` and ``wrap_mode``, as of ``gridvolume``.
+    ``extinction`` (float, rgb or spectrum, default 1)
+        Extinction per scene unit where the density is 1; a colour makes it differ between channels.
+    ``scale`` (float, default 1)
+        Factor on the extinction, >= 0.
+    ``albedo``, ``emission``, ``sample_emitters``, phase function, ``transmittance_<model>``
+        As of ``nonexp_homogeneous``.
+
+    Mitsuba's own integrators see the exponential medium of the same mean extinction, without its
+    emission. Bad values raise ``ValueError`` when the scene is loaded and at ``params.update()``,
+    which then leaves the medium as it was.
+    """
+
+    plugin = "nonexp_heterogeneous"
+    own = ("extinction", *grids.PARAMETERS)
+
+    def __init__(self, props: mi.Properties) -> None:
+        super().__init__(props)
+        self.sigma_t, factor = grids.density_volume(props)
+        self.coefficient, own = values.constant_coefficient(props, "extinction")
+        self._factor = factor * own
+        self._ratios, self._most = np.ones(1), 1.0
+        self._seen: tuple[int, ...] = ()
+        self._placement: Placement | None = None
+        self._reach: tuple[Any, Any] = (None, None)
+        if self.sigma_t.class_name() == "GridVolume":
+            grids.check_density(self.sigma_t)
+            self._placement = Placement.of(self.sigma_t)
+        self.m_is_homogeneous = self._placement is None
+        self._check()
+
+    def _spectrum(self, mei: Any) -> Any:
+        spectrum = self.coefficient.eval(mei) * (self.scale * self._factor)
+        if self._placement is None:
+            return spectrum * self.sigma_t.eval(mei)
+        if len(self._ratios) == 1:
+            return spectrum
+        return spectrum * mi.UnpolarizedSpectrum(*map(float, self._ratios))
+
+    def traverse(self, callback: mi.TraversalCallback) -> None:
+        super().traverse(callback)
+        callback.put("extinction", self.coefficient, mi.ParamFlags.Differentiable)
+
+    def _check_extinction(self, scale: Any) -> Any:
+        extinction = _check_product("extinction", self.coefficient, self._factor, scale)
+        if self._placement is None:
+            return extinction * _check_product("sigma_t", self.sigma_t, 1.0, scale)
+        data = mi.traverse(self.sigma_t)["data"]
+        if insides.variables(data) != self._seen:
+            most = grids.check_density(self.sigma_t)
+            channel, ratios = grids.channels_of(self.sigma_t)
+            self.density = Density(self.sigma_t, self._placement, channel)
+            self._ratios, self._most = ratios, most
+            self._seen = insides.variables(data)
+        with np.errstate(over="ignore"):
+            values.check_range("sigma_t * extinction * scale", extinction * self._most, dr.inf)
+        if len(self._ratios) == 1:
+            return extinction
+        return extinction.reshape(len(self._ratios), -1) * self._ratios[:, None]
+
+    @property
+    def most(self) -> float:
+        """The largest density."""
+        return self._most
+
+    @property
+    def reach(self) -> Any:
+        """Optical depth beyond which single precision knows no transmittance."""
+        if self._reach[0] is not self.model:
+            depths = np.geomspace(1e-3, 1e9, 2401)
+            gone = np.flatnonzero(self.model.ff(depths) < 1e-45)
+            reach = mi.Float(float(depths[gone[0]]) if gone.size else dr.inf)
+            dr.make_opaque(reach)
+            self._reach = self.model, reach
+        return self._reach[1]
+
+    def intersect_aabb(self, ray: mi.Ray3f) -> tuple[mi.Bool, mi.Float, mi.Float]:
+        if self.density is None:
+            return super().intersect_aabb(ray)
+        return self.sigma_t.bbox().ray_intersect(ray)
+
+    def get_majorant(self, mei: mi.MediumInteraction3f, active: Any = True) -> mi.Spectrum:
+        return super().get_majorant(mei, active) * self._most
+
+    def get_scattering_coefficients(
+        self, mei: mi.MediumInteraction3f, active: Any = True
+    ) -> tuple[mi.Spectrum, mi.Spectrum, mi.Spectrum]:
+        majorant = self.get_majorant(mei, active)
+        if self.density is None:
+            return majorant * self.eval_albedo(mei, active), mi.UnpolarizedSpectrum(0), majorant
+        share = self.density.lookup(mei.p, active) / self._most
+        sigma_t = majorant * share
+        return sigma_t * self.eval_albedo(mei, active), majorant - sigma_t, sigma_t
+
+    def _shown(self) -> str:
+        return f"  extinction = {self.coefficient},\n"
 
 
-def _volume(props: mi.Properties, name: str, default: float) -> mi.Volume:
-    """A nested volume as it is; anything else as the value of a ``constvolume``, as in Mitsuba."""
-    if name not in props:
-        return _make("constvolume", value=default)
-    if props.type(name) == mi.Properties.Type.Object and isinstance(props[name], mi.Volume):
-        volume = props[name]
-    else:
-        _check_literal(props, name)
-        volume = _make("constvolume", value=props.get_unbounded_texture(name))
-    textures = nested(volume, mi.Texture) if volume.class_name() == "ConstVolume" else []
-    if varying := [texture for texture in textures if texture.is_spatially_varying()]:
-        raise ValueError(
-            f"{name} is a {varying[0].class_name()}, which varies over a surface: "
-            "it must be a number, rgb, spectrum or volume"
-        )
-    return volume
-
-
-def _extinction_volume(props: mi.Properties) -> tuple[mi.Volume, float]:
-    """The volume of ``sigma_t``, and a factor on its values."""
-    if mi.is_spectral and "sigma_t" in props and props.type("sigma_t") == mi.Properties.Type.Color:
-        # Mitsuba converts an rgb colour to a spectrum only within [0, 1]; grey needs no spectrum.
-        rgb = np.array(props["sigma_t"], dtype=float).ravel()
-        _check_range("sigma_t", rgb, dr.inf)
-        if grey(rgb):
-            return _make("constvolume", value=float(rgb[0])), 1.0
-        factor = max(1.0, float(rgb.max()))
-        return _make("constvolume", value=mi.ScalarColor3f(*(rgb / factor))), factor
-    volume = _volume(props, "sigma_t", 1.0)
-    if volume.class_name() != "ConstVolume":
-        raise ValueError(f"sigma_t is a {volume.class_name()}: it must be constant in space")
-    return volume, 1.0
-
-
-def _check_literal(props: mi.Properties, name: str) -> None:
-    """Check numbers before Mitsuba turns them into spectra, which clamp or misreport them."""
-    upper = 1.0 if name == "albedo" else dr.inf
-    kind = props.type(name)
-    if kind in (mi.Properties.Type.Color, mi.Properties.Type.Float, mi.Properties.Type.Integer):
-        _check_range(name, np.array(props[name], dtype=float).ravel(), upper)
-    elif kind not in (mi.Properties.Type.Spectrum, mi.Properties.Type.Object):
-        raise ValueError(f"{name} is {props[name]!r}: it must be a number, rgb, spectrum or volume")
-
-
-def _check_range(name: str, values: Any, upper: float) -> None:
-    bad = values[~((values >= 0) & (values <= upper) & np.isfinite(values))]
-    if bad.size:
-        allowed = "a finite number >= 0" if upper == dr.inf else f"within [0, {upper:g}]"
-        raise ValueError(f"{name} is {bad.flat[0]:g}: it must be {allowed}")
-
-
-def _check_microflakes(phase: mi.PhaseFunction) -> None:
-    if not mi.has_flag(phase.flags(), mi.PhaseFunctionFlags.Microflake):
-        return
-    for name, value in mi.traverse(phase):
-        values = np.array(value)
-        if values.ndim > 1 and not np.all(values == values.reshape(-1, values.shape[-1])[0]):
-            raise ValueError(f"phase.{name} varies in space: in a homogeneous medium it must not")
-
-
-def _spectrum_of(name: str, volume: mi.Volume) -> Any:
-    """Values over the channels, or over the visible wavelengths."""
-    try:
-        return np.array(dr.detach(volume.eval(visible())))
-    except RuntimeError as error:
-        if mi.is_spectral:
-            raise
-        kinds = ", ".join(texture.class_name() for texture in nested(volume, mi.Texture))
-        spectral = ", ".join(v for v in mi.variants() if "spectral" in v and supported(v))
-        raise ValueError(
-            f"{name} is a spectrum over wavelengths ({kinds}), of which variant {mi.variant()} "
-            f"has none: give a number or rgb, or use {spectral}"
-        ) from error
-
-
-def _values_of(name: str, volume: mi.Volume) -> Any:
-    """All values that a volume is made of."""
-    parameters = mi.traverse(volume)
-    if "data" in parameters:
-        return np.array(dr.detach(parameters["data"]))
-    return _spectrum_of(name, volume)
+def _check_product(name: str, volume: mi.Volume, factor: float, scale: Any) -> Any:
+    """Values of a volume over channels or wavelengths; with ``scale`` they must be finite."""
+    spectrum = values.spectrum_of(name, volume) * factor
+    values.check_range(name, spectrum, dr.inf)
+    with np.errstate(over="ignore"):
+        values.check_range(f"{name} * scale", spectrum * scale, dr.inf)
+    return spectrum
 
 
 _warned = False
 
 
-def _warn_counterpart() -> None:
+def _warn_counterpart(plugin: str) -> None:
     global _warned
     if not _warned:
         _warned = True
         mi.Log(
             mi.LogLevel.Warn,
-            "A Mitsuba integrator asked nonexp_homogeneous for its coefficients: if this medium is "
+            f"A Mitsuba integrator asked {plugin} for its coefficients: if this medium is "
             "in the rendered scene, it shows its exponential counterpart of the same mean "
             "extinction. Use the integrator nonexp_volpath for the medium's own law.",
         )

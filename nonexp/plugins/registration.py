@@ -23,6 +23,7 @@ __all__ = ["install", "register"]
 # Plugin name -> kind, module, class. The modules derive from classes of the variant.
 _PLUGINS = {
     "nonexp_homogeneous": ("medium", "nonexp.plugins.medium", "NonexpHomogeneous"),
+    "nonexp_heterogeneous": ("medium", "nonexp.plugins.medium", "NonexpHeterogeneous"),
     "nonexp_volpath": ("integrator", "nonexp.integrators.volpath", "NonexpVolpath"),
 }
 _TEXTURE = ("nonexp.plugins.texture", "TransmittanceTexture")
@@ -52,9 +53,11 @@ def register() -> None:
 def _register_classes(variant: str) -> None:
     refusal = _refusal(variant)
     if refusal is None:
-        _textures[variant] = _load(*_TEXTURE)
+        module, cls = _TEXTURE
+        _textures[variant] = getattr(_load(module), cls)
+        loaded = {module: _load(module) for _, module, _ in _PLUGINS.values()}
         for name, (kind, module, cls) in _PLUGINS.items():
-            _register(kind, name, _load(module, cls))
+            _register(kind, name, getattr(loaded[module], cls))
     else:
         _textures[variant] = lambda key, props: _refuse(f"transmittance_{key}", refusal)
         for name, (kind, _, _) in _PLUGINS.items():
@@ -89,11 +92,10 @@ def _register(kind: str, name: str, make: Callable[[Any], Any]) -> None:
     getattr(mi, f"register_{kind}")(name, make)
 
 
-def _load(module: str, name: str) -> Any:
-    """Class of a module, which is reloaded for the variant that is set."""
+def _load(module: str) -> Any:
+    """A module, reloaded for the variant that is set."""
     loaded = sys.modules.get(module)
-    loaded = importlib.reload(loaded) if loaded else importlib.import_module(module)
-    return getattr(loaded, name)
+    return importlib.reload(loaded) if loaded else importlib.import_module(module)
 
 
 def _refuse(name: str, refusal: str, _props: Any = None) -> None:
