@@ -43,6 +43,8 @@ class _Ray:
     """optical depth since it entered that medium"""
     from_particle: Any
     """it is still in the medium of the collision where it began"""
+    thinning: Any
+    """factor on the extinction of that medium, if it is tracked"""
     transmittance: Any
     """product over surfaces passed and media left behind"""
     left: Any
@@ -290,8 +292,11 @@ class Connections:
             if media.tracks:
                 tracked = active & media.where("tracked", location)
                 onward = mi.Ray3f(vertex.p, d, vertex.time, vertex.wavelengths)
+                thinning = mi.Float(1)
+                if media.thins:
+                    thinning = media.flight(location, start.from_particle, sampler, tracked)
                 survival *= tracking.transmittance(
-                    media, location, onward, line.distance, sampler, tracked
+                    media, location, onward, line.distance, thinning, sampler, tracked
                 )
             share = survival if self.ball else dr.select(media.inside(location), survival, share)
         blocked = (self.ball or self.tracer).occluded(ray, active)
@@ -343,7 +348,7 @@ class Connections:
                     tracked = inside & media.where("tracked", s.location)
                     onward = mi.Ray3f(s.start, d, vertex.time, vertex.wavelengths)
                     s.transmittance *= tracking.transmittance(
-                        media, s.location, onward, length, sampler, tracked
+                        media, s.location, onward, length, s.thinning, sampler, tracked
                     )
                 beyond = media.behind(si, hit, s.location, s.ray.d, contact)
                 left = beyond != s.location
@@ -353,6 +358,9 @@ class Connections:
                 )
                 s.tau = type(s.tau)(dr.select(left, 0, s.tau))
                 s.from_particle &= ~left
+                if media.thins:
+                    drawn = media.flight(beyond, False, sampler, hit & left)
+                    s.thinning = dr.select(left, drawn, s.thinning)
                 s.location = beyond
                 s.start = si.p
             left = dr.dot(line.p - si.p, d)
@@ -366,12 +374,16 @@ class Connections:
             s.active &= dr.dot(line.p - s.ray.o, d) > 0
             return sampler, s
 
+        thinning = mi.Float(1)
+        if media and media.thins:
+            thinning = media.flight(start.location(d), start.from_particle, sampler, active)
         state = _Ray(
             ray=ray,
             start=mi.Point3f(vertex.p) if media else None,
             location=start.location(d) if media else None,
             tau=mi.UnpolarizedSpectrum(0) if media and media.chromatic else mi.Float(0),
             from_particle=mi.Bool(start.from_particle),
+            thinning=thinning,
             transmittance=mi.Spectrum(1),
             left=dr.dot(line.p - vertex.p, d),
             nudge=mi.Float(0),

@@ -21,6 +21,7 @@ import mitsuba as mi
 import numpy as np
 
 from nonexp import models
+from nonexp.numerics.laplace import AliasTable
 from nonexp.plugins.density import Density
 from nonexp.plugins.spectra import grey, somewhere, visible
 from nonexp.transmittance import Draw, Transmittance
@@ -102,6 +103,11 @@ class Entry(ABC):
         return self.walked or self.tracked
 
     @property
+    def thins(self) -> bool:
+        """Tracked flights draw a factor on the extinction."""
+        return self.tracked and self.draws > 0
+
+    @property
     def emits(self) -> bool:
         """Its particles emit light."""
         return self.emission is not None
@@ -123,7 +129,8 @@ class Entry(ABC):
 
     @abstractmethod
     def flight(self, from_particle: Any, numbers: Sequence[Any], active: Any) -> Any:
-        """Optical depth of the next collision, infinite if tracked, from random ``numbers``."""
+        """Optical depth of the next collision from random ``numbers``; if tracked, the factor on
+        the extinction that this flight meets, exponential by itself."""
 
     @abstractmethod
     def survival(self, from_particle: Any, tau: Any, active: Any) -> Any:
@@ -241,16 +248,19 @@ class Walked(Homogeneous):
 
 @dataclass(frozen=True)
 class Tracked(Entry):
-    """A heterogeneous medium of Mitsuba's own: exponential, tracked with null collisions.
+    """A heterogeneous medium that is tracked with null collisions; here one of Mitsuba's own,
+    which is exponential.
 
-    Its ``extinction`` is 1 everywhere, its flights do not end, nothing is lost on its shadow
-    rays: all that is done by :mod:`.tracking`, on :meth:`bounds` and :meth:`coefficients`.
+    Its ``extinction`` is 1 everywhere, nothing is lost on its shadow rays: all that is done by
+    :mod:`.tracking`, on :meth:`bounds` and :meth:`coefficients`.
     """
 
-    draws = 0
+    @property
+    def draws(self) -> int:
+        return 0
 
     def flight(self, from_particle: Any, numbers: Sequence[Any], active: Any) -> Any:
-        return mi.Float(dr.inf)
+        return mi.Float(1)
 
     def survival(self, from_particle: Any, tau: Any, active: Any) -> Any:
         return type(tau)(1)
@@ -270,6 +280,44 @@ class Tracked(Entry):
     def coefficients(self, mei: Any, active: Any) -> tuple[Any, Any]:
         _, _, sigma_t = self.pointer.get_scattering_coefficients(mei, active)
         return dr.maximum(self.majorant - sigma_t, 0), sigma_t
+
+
+@dataclass(frozen=True)
+class TrackedGrid(Tracked):
+    """A medium whose density lies on a grid, with a law ``T = E[exp(-S tau)]``.
+
+    A flight draws S and is exponential with that factor on the extinction, so that null collisions
+    hold. From a particle S is drawn in proportion to itself.
+    """
+
+    density: Density
+    factor: Callable[[Any], Any]
+    """extinction where the density is 1; the majorant is the largest density"""
+    law_f: AliasTable | None
+    """of S, from a fixed point; None if S is always 1"""
+    law_p: AliasTable | None
+
+    @property
+    def draws(self) -> int:
+        return 2 if self.law_f else 0
+
+    def flight(self, from_particle: Any, numbers: Sequence[Any], active: Any) -> Any:
+        if not (self.law_f and self.law_p):
+            return mi.Float(1)
+        u1, u2 = numbers[:2]
+        return dr.select(from_particle, self.law_p(u1, u2), self.law_f(u1, u2))
+
+    def bounds(self, ray: Any, active: Any) -> tuple[Any, Any, Any]:
+        near, far = walk.interval(self.density, ray.o, ray.d)
+        factor = self.factor(medium_interaction(ray.d, ray))
+        most = factor if dr.depth_v(factor) == 1 else dr.max(factor)
+        # A ray that does not enter steps nowhere; nor does one that meets nothing.
+        return near, dr.select(most > 0, far, -1), dr.select(most > 0, most * self.majorant, 1)
+
+    def coefficients(self, mei: Any, active: Any) -> tuple[Any, Any]:
+        factor = mi.UnpolarizedSpectrum(self.factor(mei))
+        sigma_t = factor * self.density.lookup(mei.p, active)
+        return dr.maximum(dr.max(factor) * self.majorant - sigma_t, 0), sigma_t
 
 
 def entry_of(pointer: Any, sealed: bool) -> Entry | None:
@@ -303,7 +351,13 @@ def entry_of(pointer: Any, sealed: bool) -> Entry | None:
     common = pointer, model, extinction, albedo, sealed, chromatic, constant, emission
     if density is None:
         return Homogeneous(*common)
-    return Walked(*common, density, pointer.reach)
+    if not pointer.tracked:
+        return Walked(*common, density, pointer.reach)
+    unit, most = partial(_always, mi.Float(1)), opaque(mi.Float, pointer.most)
+    return TrackedGrid(
+        pointer, model, unit, albedo, sealed, chromatic, True, emission, most, density, extinction,
+        *pointer.mixing,
+    )  # fmt: skip
 
 
 def _tracked(pointer: Any, model: Transmittance, albedo: Any, sealed: bool) -> Entry | None:
@@ -389,6 +443,8 @@ class Media(ABC):
         """Extinction of some medium differs between channels or wavelengths."""
         self.tracks = self.any("tracked")
         """Flights through some medium are tracked by null collisions."""
+        self.thins = self.any("thins")
+        """Of these, some draw a factor on the extinction."""
         self.walks = self.any("walked")
         """Flights through some medium walk through a grid."""
         self._draws = max(entry.draws for entry in entries)

@@ -300,10 +300,11 @@ class Events:
         if media.tracks:
             tracked = inside & media.holds("tracked", location)
             found, tracked_balance = tracking.next_collision(
-                media, location, ray, dr.minimum(si.t, s.far), self.hero, sampler, tracked
+                media, location, ray, dr.minimum(si.t, s.far), tau, self.hero, sampler, tracked
             )
             t_collision = dr.select(tracked, found, t_collision)
             travelled = dr.select(tracked, found + gap, travelled)
+            column = dr.select(tracked, 0, column)  # what is left is no depth: it stays
         # A tie of collision and surface is a collision; what never ends sees infinity.
         collided = inside & (t_collision <= si.t) & (t_collision <= s.far)
         p = dr.select(collided, _collision(s, flight, travelled, gap), si.p)

@@ -1,8 +1,9 @@
-"""Flights through heterogeneous exponential media, with null collisions.
+"""Flights through heterogeneous media, with null collisions.
 
 Delta tracking finds the next collision, ratio tracking estimates a transmittance; both step from
-one tentative collision of the majorant to the next. They hold for the exponential law alone, whose
-flights have no memory.
+one tentative collision of the majorant to the next. They hold for exponential flights alone, which
+have no memory: those of the exponential law, or of a mixture of exponentials once its factor on
+the extinction, the ``thinning``, is drawn.
 """
 
 from __future__ import annotations
@@ -35,7 +36,14 @@ class _Track:
 
 
 def next_collision(
-    media: Media, location: Any, ray: Any, end: Any, hero: Any, sampler: Any, active: Any
+    media: Media,
+    location: Any,
+    ray: Any,
+    end: Any,
+    thinning: Any,
+    hero: Any,
+    sampler: Any,
+    active: Any,
 ) -> tuple[Any, Any]:
     """Distance of the next real collision on ``ray`` before ``end``, infinite if there is none.
 
@@ -52,21 +60,28 @@ def next_collision(
         s.collided |= real
         s.stepping &= ~real
 
-    found = _track(media, location, ray, end, sampler, active, collide, "nonexp: delta tracking")
+    found = _track(
+        media, location, ray, end, thinning, sampler, active, collide, "nonexp: delta tracking"
+    )
     return dr.select(found.collided, found.t, dr.inf), found.weight
 
 
 def transmittance(
-    media: Media, location: Any, ray: Any, end: Any, sampler: Any, active: Any
+    media: Media, location: Any, ray: Any, end: Any, thinning: Any, sampler: Any, active: Any
 ) -> Any:
-    """Unbiased estimate of the transmittance along ``ray`` up to ``end``, a spectrum."""
+    """Unbiased estimate of the transmittance along ``ray`` up to ``end``, a spectrum.
+
+    Of a mixture of exponentials where ``thinning`` is drawn anew.
+    """
 
     def collide(sampler: Any, s: _Track, sigma_n: Any, sigma_t: Any, majorant: Any) -> None:
         weight = s.weight * (sigma_n / majorant)
         s.weight = mi.UnpolarizedSpectrum(dr.select(s.stepping, weight, s.weight))
         s.stepping &= dr.any(s.weight != 0)
 
-    track = _track(media, location, ray, end, sampler, active, collide, "nonexp: ratio tracking")
+    track = _track(
+        media, location, ray, end, thinning, sampler, active, collide, "nonexp: ratio tracking"
+    )
     return track.weight
 
 
@@ -75,6 +90,7 @@ def _track(
     location: Any,
     ray: Any,
     end: Any,
+    thinning: Any,
     sampler: Any,
     active: Any,
     collide: Callable[[Any, _Track, Any, Any, Any], None],
@@ -86,7 +102,7 @@ def _track(
     """
 
     def step(sampler: Any, s: _Track) -> tuple[Any, _Track]:
-        s.t = s.t - log1p(-sampler.next_1d(s.stepping)) / majorant
+        s.t = s.t - log1p(-sampler.next_1d(s.stepping)) / rate
         s.stepping &= s.t < far
         mei = medium_interaction(ray.d, ray, ray(s.t), s.t)
         sigma_n, sigma_t = media.ask("coefficients", location, mei, active=s.stepping)
@@ -94,7 +110,7 @@ def _track(
         return sampler, s
 
     near, far, majorant = media.ask("bounds", location, ray)
-    far = dr.minimum(far, end)
+    far, rate = dr.minimum(far, end), majorant * thinning
     state = _Track(near, active & (near < far), mi.Bool(False), mi.UnpolarizedSpectrum(1))
     _, found = dr.while_loop((sampler, state), lambda sampler, s: s.stepping, step, label=label)
     return found

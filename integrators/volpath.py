@@ -10,6 +10,8 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from nonexp.plugins.values import choice
+
 from .connection import Connections
 from .glass import refraction
 from .jit import Numbering, recording
@@ -50,7 +52,7 @@ class NonexpVolpath(mi.SamplingIntegrator):
         self.max_depth = depth if depth >= 0 else 2**32 - 1
         self.rr_depth = _integer(props, "rr_depth", 5, "an integer > 0", 1)
         self.hide_emitters = props.get("hide_emitters", False)
-        self.refractive_nee = _choice(props, "refractive_nee", ("auto", "on", "off"))
+        self.refractive_nee = choice(props, "refractive_nee", ("auto", "on", "off"))
         self._warned, self._results = False, None
         self._subscenes, self._contact_scenes = Subscenes(), Subscenes()
 
@@ -109,15 +111,6 @@ class NonexpVolpath(mi.SamplingIntegrator):
             f"NonexpVolpath[max_depth={depth}, rr_depth={self.rr_depth}, "
             f"hide_emitters={self.hide_emitters}]"
         )
-
-
-def _choice(props: mi.Properties, name: str, allowed: tuple[str, ...]) -> str:
-    value = props.get(name, allowed[0])
-    if value not in allowed:
-        raise ValueError(
-            f"{name} is {value!r}: it must be {', '.join(allowed[:-1])} or {allowed[-1]}"
-        )
-    return str(value)
 
 
 def _integer(props: mi.Properties, name: str, default: int, allowed: str, least: int) -> int:

@@ -40,6 +40,12 @@ def distance(
     return dr.select(s.found, t, dr.inf), dr.select(s.found, target, s.column)
 
 
+def interval(density: Density, o: Any, d: Any) -> tuple[Any, Any]:
+    """Distances at which a ray enters a grid and leaves it; the latter is smaller if it misses."""
+    line = _Line(density, o, d, dr.inf)
+    return line.near, line.near + line.length
+
+
 @dataclass
 class _Walk:
     """State of a walk, at the start of a step."""

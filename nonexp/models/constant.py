@@ -17,6 +17,10 @@ class Constant(Transmittance):
     def sigma_bar(self) -> Any:
         return 0.0
 
+    @property
+    def extinctions(self) -> tuple[Any, Any]:
+        return (0.0,), (1.0,)
+
     def ff(self, tau: Any) -> Any:
         return filled(tau, 1.0)
 

@@ -58,6 +58,10 @@ class Ensemble(Transmittance):
     def sigma_bar(self) -> Any:
         return (1 - self._clear) * self._transform.moments[1]
 
+    @property
+    def extinctions(self) -> tuple[Any, Any]:
+        return self._nodes
+
     def ff(self, tau: Any) -> Any:
         rest = self._transform(0, tau)
         return with_derivative(rest + self._clear * (1 - rest), (tau, lambda t: -self.fp(t)))

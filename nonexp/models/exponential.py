@@ -20,6 +20,10 @@ class Exponential(Transmittance):
     def sigma_bar(self) -> Any:
         return 1.0
 
+    @property
+    def extinctions(self) -> tuple[Any, Any]:
+        return (1.0,), (1.0,)
+
     def ff(self, tau: Any) -> Any:
         return dr.exp(-tau)
 

@@ -10,7 +10,7 @@ import drjit as dr
 from ..numerics import log1p, select
 from ..transmittance import Draw, Transmittance
 from ..transmittance.choice import pick, require_extinction, weights
-from ..transmittance.parameters import check, vector
+from ..transmittance.parameters import check, number, vector
 
 # Below this float32 has no normal numbers. Its reciprocal stands for infinity, because
 # zero times infinity would be NaN.
@@ -86,6 +86,11 @@ class ExponentialMixture(Transmittance):
     @property
     def sigma_bar(self) -> Any:
         return sum(self._rates) / sum(self.weight)
+
+    @property
+    def extinctions(self) -> tuple[Any, Any]:
+        weight = [number(w) for w in self.weight]
+        return [number(s) for s in self.sigma], [w / sum(weight) for w in weight]
 
     def ff(self, tau: Any) -> Any:
         return self._mean(self.weight, tau) / sum(self.weight)

@@ -6,8 +6,9 @@ from typing import Any, ClassVar
 import drjit as dr
 
 from ..numerics import expm1, log1p, scaled_log1p
+from ..numerics.quadrature import nodes_of_law
 from ..transmittance import Draw, Transmittance
-from ..transmittance.parameters import parameter
+from ..transmittance.parameters import number, parameter
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +32,11 @@ class Gamma(Transmittance):
     @property
     def sigma_bar(self) -> Any:
         return 1.0
+
+    @property
+    def extinctions(self) -> tuple[Any, Any]:
+        alpha = number(self.alpha)
+        return nodes_of_law("Gamma", "gamma", (alpha, 0.0, 1 / alpha))
 
     def ff(self, tau: Any) -> Any:
         return dr.exp(-scaled_log1p(tau, self.alpha))

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+import numpy as np
+
 from ..transmittance import Draw, Transmittance
 from ..transmittance.choice import pick, replayed, require_extinction, weights
 from ..transmittance.parameters import components, number, vector
@@ -64,6 +66,15 @@ class Mixture(Transmittance):
     def kinks(self) -> tuple[Any, ...]:
         merged = {number(kink): kink for model in self.models for kink in model.kinks}
         return tuple(merged[where] for where in sorted(merged))
+
+    @property
+    def extinctions(self) -> tuple[Any, Any] | None:
+        found = [model.extinctions for model in self.models]
+        if None in found:
+            return None
+        shares = np.array([number(w) for w in self.weight])
+        weights = [s * np.array(w) for s, (_, w) in zip(shares / shares.sum(), found, strict=True)]
+        return np.concatenate([s for s, _ in found]), np.concatenate(weights)
 
     def ff(self, tau: Any) -> Any:
         return _mean(self.weight, [model.ff(tau) for model in self.models])

@@ -119,6 +119,8 @@ class Density:
         cells = self.voxels if self.nearest else tuple(n + 1 for n in self.voxels)
         ends = [0 if placement.repeats else n - 1 for n in self.voxels]
         bricks = [-(-n // BRICK) for n in cells]
+        self.size = float(np.mean(np.linalg.norm(np.linalg.inv(placement.to_unit[:, :3]), axis=0)))
+        """mean length of an edge, in scene units"""
         self.data = dr.detach(tensor.array)
         self.channel = mi.Int32(channel)
         self.rows = [[mi.Float(float(x)) for x in row] for row in rows]
@@ -145,6 +147,12 @@ class Density:
     def uniform(self) -> float:
         """Share of the bricks in which the density is constant."""
         return float(np.mean(np.array(self.bricks) >= 0))
+
+    @property
+    def steps_across(self) -> float:
+        """Steps of a walk from one side of the grid to another, on average."""
+        cells = float(np.mean(self.voxels))
+        return cells * (1 - self.uniform) + cells / BRICK * self.uniform
 
     def index(self, point: Any) -> Any:
         """A point in index space."""

@@ -11,7 +11,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from nonexp.plugins import grids, values
+from nonexp.plugins import flights, grids, values
 from nonexp.plugins.density import Density, Placement
 from nonexp.plugins.spectra import grey, somewhere
 from nonexp.system import insides
@@ -263,6 +263,12 @@ class NonexpHeterogeneous(NonexpMedium):
         Extinction per scene unit where the density is 1; a colour makes it differ between channels.
     ``scale`` (float, default 1)
         Factor on the extinction, >= 0.
+    ``tracking`` (``auto``, ``regular`` or ``delta``, default ``auto``)
+        How flights and shadow rays pass the grid. ``regular``: a walk from cell to cell, exact, for
+        any law. ``delta``: an extinction drawn per flight, and null collisions; for laws that are
+        mixtures of exponentials (``exponential``, ``gamma``, ``exponential_mixture``, ``ensemble``
+        and mixtures of these). Both give the same image; ``auto`` takes what is faster, which
+        ``nonexp info`` shows.
     ``albedo``, ``emission``, ``sample_emitters``, phase function, ``transmittance_<model>``
         As of ``nonexp_homogeneous``.
 
@@ -272,7 +278,7 @@ class NonexpHeterogeneous(NonexpMedium):
     """
 
     plugin = "nonexp_heterogeneous"
-    own = ("extinction", *grids.PARAMETERS)
+    own = ("extinction", "tracking", *grids.PARAMETERS)
 
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
@@ -282,7 +288,8 @@ class NonexpHeterogeneous(NonexpMedium):
         self._ratios, self._most = np.ones(1), 1.0
         self._seen: tuple[int, ...] = ()
         self._placement: Placement | None = None
-        self._reach: tuple[Any, Any] = (None, None)
+        self._prepared: Any = None
+        self._wanted = values.choice(props, "tracking", flights.TRACKING)
         if self.sigma_t.class_name() == "GridVolume":
             grids.check_density(self.sigma_t)
             self._placement = Placement.of(self.sigma_t)
@@ -314,6 +321,7 @@ class NonexpHeterogeneous(NonexpMedium):
             self._seen = insides.variables(data)
         with np.errstate(over="ignore"):
             values.check_range("sigma_t * extinction * scale", extinction * self._most, dr.inf)
+        self._prepare(extinction * self._ratios.max())
         if len(self._ratios) == 1:
             return extinction
         return extinction.reshape(len(self._ratios), -1) * self._ratios[:, None]
@@ -324,15 +332,21 @@ class NonexpHeterogeneous(NonexpMedium):
         return self._most
 
     @property
-    def reach(self) -> Any:
-        """Optical depth beyond which single precision knows no transmittance."""
-        if self._reach[0] is not self.model:
-            depths = np.geomspace(1e-3, 1e9, 2401)
-            gone = np.flatnonzero(self.model.ff(depths) < 1e-45)
-            reach = mi.Float(float(depths[gone[0]]) if gone.size else dr.inf)
-            dr.make_opaque(reach)
-            self._reach = self.model, reach
-        return self._reach[1]
+    def tracked(self) -> bool:
+        """Flights draw an extinction and null collisions; else they walk through the grid."""
+        return self.choice.delta
+
+    def _prepare(self, extinction: Any) -> None:
+        """What integrators need to know of the law and the grid, made as often as these change."""
+        assert self.density is not None
+        if self._prepared is not self.model:
+            self._prepared = self.model
+            self._extinctions = self.model.extinctions
+            self.mixing = flights.mixing(self._extinctions)
+            self.reach = mi.Float(flights.reach(self.model))
+            dr.make_opaque(self.reach)
+        most = float(extinction.max() * self._most * np.array(self.scale)[0])
+        self.choice = flights.Choice.of(self._wanted, self.density, self._extinctions, most)
 
     def intersect_aabb(self, ray: mi.Ray3f) -> tuple[mi.Bool, mi.Float, mi.Float]:
         if self.density is None:

@@ -15,6 +15,7 @@ from nonexp.system.machine import supported
 __all__ = [
     "check_microflakes",
     "check_range",
+    "choice",
     "coefficient",
     "constant_coefficient",
     "make",
@@ -41,6 +42,16 @@ def number(props: mi.Properties, name: str, default: float) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise ValueError(f"{name} is {value!r}: it must be a number")
     return float(value)
+
+
+def choice(props: mi.Properties, name: str, allowed: tuple[str, ...]) -> str:
+    """One of some words, the first by default."""
+    value = props.get(name, allowed[0])
+    if value not in allowed:
+        raise ValueError(
+            f"{name} is {value!r}: it must be {', '.join(allowed[:-1])} or {allowed[-1]}"
+        )
+    return str(value)
 
 
 def volume(props: mi.Properties, name: str, default: float) -> mi.Volume:

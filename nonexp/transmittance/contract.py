@@ -117,6 +117,15 @@ class Transmittance(ABC):
         """
         return tuple(where for where, _ in self.atoms)
 
+    @property
+    def extinctions(self) -> tuple[Any, Any] | None:
+        """Values of S and their probabilities, if the law is ``T = E[exp(-S tau)]``; None if not.
+
+        Flights through grids may then draw an extinction S and track it by null collisions, which
+        is faster where a grid is thin and fine. A law that is such a mixture may declare it here.
+        """
+        return None
+
     @abstractmethod
     def ff(self, tau: Any) -> Any:
         """Transmittance ``T(tau)`` between two fixed points."""
