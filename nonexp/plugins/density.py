@@ -115,31 +115,31 @@ class Density:
         self.nearest = placement.nearest
         shift = 0.0 if self.nearest else 0.5
         rows = placement.to_unit * np.array(self.voxels)[:, None]
-        rows[:, 3] += shift
+        # Points count from the middle of the grid, wherever that is: so they keep their digits.
+        middle = np.linalg.solve(placement.to_unit[:, :3], 0.5 - placement.to_unit[:, 3])
+        middle = np.array(mi.ScalarPoint3f(middle), dtype=float)
+        rows[:, 3] += rows[:, :3] @ middle + shift
         cells = self.voxels if self.nearest else tuple(n + 1 for n in self.voxels)
         ends = [0 if placement.repeats else n - 1 for n in self.voxels]
         bricks = [-(-n // BRICK) for n in cells]
         self.size = float(np.mean(np.linalg.norm(np.linalg.inv(placement.to_unit[:, :3]), axis=0)))
         """mean length of an edge, in scene units"""
         self.data = dr.detach(tensor.array)
-        self.channel = mi.Int32(channel)
-        self.rows = [[mi.Float(float(x)) for x in row] for row in rows]
-        """affine map to index space"""
-        self.cells = [mi.Int32(n) for n in cells]
-        self.low = mi.Float(shift)
+        self.channel = _whole(channel)
+        self.rows = [[_real(x) for x in row] for row in rows]
+        """affine map to index space, from the middle"""
+        self.middle = mi.Point3f(*map(_real, middle))
+        self.cells = [_whole(n) for n in cells]
+        self.low = _real(shift)
         """index at which the grid begins"""
-        self.high = [mi.Float(n + shift) for n in self.voxels]
+        self.high = [_real(n + shift) for n in self.voxels]
         """and ends"""
-        self.strides = [mi.Int32(channels * n) for n in (1, width, width * height)]
-        self.before = [mi.Int32(n - 1 - end) for n, end in zip(self.voxels, ends, strict=True)]
+        self.strides = [_whole(channels * n) for n in (1, width, width * height)]
+        self.before = [_whole(n - 1 - end) for n, end in zip(self.voxels, ends, strict=True)]
         """voxel before the first one"""
-        self.after = [mi.Int32(end) for end in ends]
+        self.after = [_whole(end) for end in ends]
         """voxel after the last one"""
-        self.brick_strides = [mi.Int32(n) for n in (1, bricks[0], bricks[0] * bricks[1])]
-        dr.make_opaque(
-            self.channel, self.rows, self.cells, self.low, self.high, self.strides, self.before,
-            self.after, self.brick_strides,
-        )  # fmt: skip
+        self.brick_strides = [_whole(n) for n in (1, bricks[0], bricks[0] * bricks[1])]
         self.bricks = self._bricks(bricks)
         """density of each brick; -1 where it is not constant"""
 
@@ -156,7 +156,8 @@ class Density:
 
     def index(self, point: Any) -> Any:
         """A point in index space."""
-        return mi.Point3f(*(_product(row, point, row[3]) for row in self.rows))
+        near = point - self.middle
+        return mi.Point3f(*(_product(row, near, row[3]) for row in self.rows))
 
     def index_step(self, vector: Any) -> Any:
         """A vector in index space."""
@@ -232,6 +233,17 @@ class Density:
         result = dr.select(low == high, low, -1)
         dr.eval(result)
         return result
+
+
+# Numbers in memory: other ones need no other kernel.
+
+
+def _real(value: float) -> Any:
+    return dr.opaque(mi.Float, float(value))
+
+
+def _whole(value: int) -> Any:
+    return dr.opaque(mi.Int32, int(value))
 
 
 def _product(row: Sequence[Any], vector: Any, constant: Any) -> Any:
