@@ -32,7 +32,7 @@ def mixing(extinctions: tuple[Any, Any] | None) -> tuple[AliasTable | None, Alia
     if extinctions is None:
         return None, None
     values, weights = (np.array(part, dtype=float) for part in extinctions)
-    if np.all(values == 1):
+    if np.all(values == 1) or not values @ weights > 0:
         return None, None
     return AliasTable(values, weights), AliasTable(values, values * weights)
 

@@ -320,7 +320,8 @@ class NonexpHeterogeneous(NonexpMedium):
             self._ratios, self._most = ratios, most
             self._seen = insides.variables(data)
         with np.errstate(over="ignore"):
-            values.check_range("sigma_t * extinction * scale", extinction * self._most, dr.inf)
+            product = np.float32(scale * self._most) * extinction.astype(np.float32)
+            values.check_range("sigma_t * extinction * scale", product, dr.inf)
         self._prepare(extinction * self._ratios.max())
         if len(self._ratios) == 1:
             return extinction
