@@ -22,7 +22,7 @@ import numpy as np
 
 from nonexp import models
 from nonexp.numerics.laplace import AliasTable
-from nonexp.plugins.density import Density
+from nonexp.plugins.density import BRICK, Density
 from nonexp.plugins.spectra import grey, somewhere, visible
 from nonexp.transmittance import Draw, Transmittance
 
@@ -103,6 +103,11 @@ class Entry(ABC):
         return self.walked or self.tracked
 
     @property
+    def bricked(self) -> bool:
+        """Tracked flights have a majorant for each of many bricks."""
+        return isinstance(self, TrackedGrid)
+
+    @property
     def thins(self) -> bool:
         """Tracked flights draw a factor on the extinction."""
         return self.tracked and self.draws > 0
@@ -162,11 +167,20 @@ class Entry(ABC):
     @abstractmethod
     def bounds(self, ray: Any, active: Any) -> tuple[Any, Any, Any]:
         """If tracked: distances at which a ray enters and leaves the data, and the majorant of
-        extinction."""
+        extinction where the density's :meth:`bound` is 1."""
+
+    def bricks(self, ray: Any, active: Any) -> tuple[Any, Any]:
+        """If tracked: origin and direction of a ray in a space where the bricks, each with a bound
+        of its own, are unit cubes. Here all is one brick."""
+        return mi.Point3f(0.5), mi.Vector3f(0)
+
+    def bound(self, brick: Any, active: Any) -> Any:
+        """If tracked: upper bound of the density in a brick."""
+        return mi.Float(1)
 
     @abstractmethod
-    def coefficients(self, mei: Any, active: Any) -> tuple[Any, Any]:
-        """If tracked: coefficients of null collisions and of extinction."""
+    def coefficients(self, mei: Any, majorant: Any, active: Any) -> tuple[Any, Any]:
+        """If tracked: coefficients of null collisions, up to a majorant, and of extinction."""
 
     def scatter(self, mei: Any, wo: Any, u1: Any, u2: Any, active: Any) -> Scatter:
         """Phase function towards ``wo`` and a sampled direction, at collisions ``mei``."""
@@ -221,7 +235,7 @@ class Homogeneous(Entry):
     def bounds(self, ray: Any, active: Any) -> tuple[Any, Any, Any]:
         return mi.Float(0), mi.Float(-1), mi.Float(1)
 
-    def coefficients(self, mei: Any, active: Any) -> tuple[Any, Any]:
+    def coefficients(self, mei: Any, majorant: Any, active: Any) -> tuple[Any, Any]:
         return mi.UnpolarizedSpectrum(0), mi.UnpolarizedSpectrum(0)
 
 
@@ -277,9 +291,9 @@ class Tracked(Entry):
         hits, near, far = self.pointer.intersect_aabb(ray)
         return dr.maximum(near, 0), dr.select(hits, far, -1), self.majorant
 
-    def coefficients(self, mei: Any, active: Any) -> tuple[Any, Any]:
+    def coefficients(self, mei: Any, majorant: Any, active: Any) -> tuple[Any, Any]:
         _, _, sigma_t = self.pointer.get_scattering_coefficients(mei, active)
-        return dr.maximum(self.majorant - sigma_t, 0), sigma_t
+        return dr.maximum(majorant - sigma_t, 0), sigma_t
 
 
 @dataclass(frozen=True)
@@ -292,7 +306,7 @@ class TrackedGrid(Tracked):
 
     density: Density
     factor: Callable[[Any], Any]
-    """extinction where the density is 1; the majorant is the largest density"""
+    """extinction where the density is 1"""
     law_f: AliasTable | None
     """of S, from a fixed point; None if S is always 1"""
     law_p: AliasTable | None
@@ -310,14 +324,18 @@ class TrackedGrid(Tracked):
     def bounds(self, ray: Any, active: Any) -> tuple[Any, Any, Any]:
         near, far = walk.interval(self.density, ray.o, ray.d)
         factor = self.factor(medium_interaction(ray.d, ray))
-        most = factor if dr.depth_v(factor) == 1 else dr.max(factor)
-        # A ray that does not enter steps nowhere; nor does one that meets nothing.
-        return near, dr.select(most > 0, far, -1), dr.select(most > 0, most * self.majorant, 1)
+        return near, far, factor if dr.depth_v(factor) == 1 else dr.max(factor)
 
-    def coefficients(self, mei: Any, active: Any) -> tuple[Any, Any]:
-        factor = mi.UnpolarizedSpectrum(self.factor(mei))
-        sigma_t = factor * self.density.lookup(mei.p, active)
-        return dr.maximum(dr.max(factor) * self.majorant - sigma_t, 0), sigma_t
+    def bricks(self, ray: Any, active: Any) -> tuple[Any, Any]:
+        p, d = self.density.index(ray.o), self.density.index_step(ray.d)
+        return mi.Point3f(p / BRICK), mi.Vector3f(d / BRICK)
+
+    def bound(self, brick: Any, active: Any) -> Any:
+        return self.density.bound(brick, active)
+
+    def coefficients(self, mei: Any, majorant: Any, active: Any) -> tuple[Any, Any]:
+        sigma_t = mi.UnpolarizedSpectrum(self.factor(mei)) * self.density.lookup(mei.p, active)
+        return dr.maximum(majorant - sigma_t, 0), sigma_t
 
 
 def entry_of(pointer: Any, sealed: bool) -> Entry | None:
@@ -353,9 +371,9 @@ def entry_of(pointer: Any, sealed: bool) -> Entry | None:
         return Homogeneous(*common)
     if not pointer.tracked:
         return Walked(*common, density, pointer.reach)
-    unit, most = partial(_always, mi.Float(1)), opaque(mi.Float, pointer.most)
+    unit = partial(_always, mi.Float(1))
     return TrackedGrid(
-        pointer, model, unit, albedo, sealed, chromatic, True, emission, most, density, extinction,
+        pointer, model, unit, albedo, sealed, chromatic, True, emission, None, density, extinction,
         *pointer.mixing,
     )  # fmt: skip
 

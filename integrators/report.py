@@ -68,25 +68,54 @@ def _media(needs: SceneNeeds, media: Media | None) -> list[Finding]:
         rows.append(Finding("extinction", "differs between channels", colour))
     else:
         rows.append(Finding("extinction", "the same in all channels", "skipped: spectral weights"))
-    if media.tracks:
-        rows.append(
-            Finding("heterogeneous media", "some", "null collisions, in loops of their own")
-        )
-    else:
-        rows.append(Finding("heterogeneous media", "none", "skipped: null collisions"))
+    return [*rows, *_varying(media), _emission(media)]
+
+
+def _varying(media: Media) -> list[Finding]:
+    """How flights pass media whose density varies in space."""
+    if not media.any("varies"):
+        return [
+            Finding("heterogeneous media", "none", "skipped: walks through grids, null collisions")
+        ]
+    rows = []
+    for entry in media.entries:
+        if entry.varies:
+            choice = getattr(entry.pointer, "choice", None)
+            why = choice.reason if choice else "as Mitsuba's own"
+            how = (
+                "null collisions (delta tracking)" if entry.tracked else "a walk from cell to cell"
+            )
+            rows.append(Finding(f"flights in {_medium_name(entry)}", how, why))
     return rows
 
 
+def _emission(media: Media) -> Finding:
+    glowing = [_medium_name(entry) for entry in media.entries if entry.emits]
+    question = "media that emit"
+    if not glowing:
+        return Finding(question, "none", "skipped: emission at collisions")
+    return Finding(question, ", ".join(glowing), "added at every collision")
+
+
+def _medium_name(entry: Entry) -> str:
+    return entry.pointer.id() or type(entry.pointer).__name__
+
+
 def _describe(entry: Entry) -> str:
-    name = entry.pointer.id() or type(entry.pointer).__name__
-    if entry.tracked:
+    name = _medium_name(entry)
+    if entry.tracked and not hasattr(entry.pointer, "model"):
         return f"{name}: exponential, heterogeneous"
     texture = getattr(entry.pointer, "transmittance", None)
     law = texture.to_string().removeprefix("transmittance_") if texture else "exponential"
     mei = visible()
     mei.wi = mi.Vector3f(0, 0, 1)
-    sigma_t = np.unique(np.round(np.array(dr.detach(entry.extinction(mei))), 6))
+    extinction = getattr(entry.pointer, "extinction", entry.extinction)
+    sigma_t = np.unique(np.round(np.array(dr.detach(extinction(mei))), 6))
     shown = f"{sigma_t[0]:g}" if len(sigma_t) == 1 else f"{sigma_t[0]:g} to {sigma_t[-1]:g}"
+    density = getattr(entry.pointer, "density", None)
+    if density is not None:
+        size = "x".join(map(str, density.voxels))
+        shown += f" times a grid of {size} up to {entry.pointer.most:.3g}"
     phase = entry.pointer.phase_function().class_name()
     return f"{name}: {law}, sigma_t {shown}, {phase}"
 

@@ -33,6 +33,8 @@ class _Track:
     """at a real collision"""
     weight: Any
     """the channels' densities of the steps so far, or the transmittance"""
+    brick: Any
+    """the brick it is in (None: majorants are the same everywhere)"""
 
 
 def next_collision(
@@ -98,19 +100,74 @@ def _track(
 ) -> _Track:
     """Step along ``ray`` up to ``end``, from one tentative collision to the next.
 
-    ``collide(sampler, state, sigma_n, sigma_t, majorant)`` says what happens there.
+    Where bricks have majorants of their own, a step also ends where the ray leaves a brick: what is
+    exponential has no memory. ``collide(sampler, state, sigma_n, sigma_t, majorant)`` says what
+    happens at a tentative collision, in the lanes that are stepping.
     """
+    near, far, majorant = media.ask("bounds", location, ray)
+    far = dr.minimum(far, end)
+    bricks = None
+    if media.any("bricked"):
+        bricks = _Bricks(*media.ask("bricks", location, ray))
 
     def step(sampler: Any, s: _Track) -> tuple[Any, _Track]:
-        s.t = s.t - log1p(-sampler.next_1d(s.stepping)) / rate
-        s.stepping &= s.t < far
-        mei = medium_interaction(ray.d, ray, ray(s.t), s.t)
-        sigma_n, sigma_t = media.ask("coefficients", location, mei, active=s.stepping)
-        collide(sampler, s, sigma_n, sigma_t, majorant)
+        free = -log1p(-sampler.next_1d(s.stepping))
+        if not bricks:
+            s.t = s.t + free / (majorant * thinning)
+            s.stepping &= s.t < far
+            tentative(sampler, s, majorant)
+            return sampler, s
+        local = majorant * media.ask("bound", location, s.brick, active=s.stepping)
+        rate = local * thinning
+        there = s.t + dr.select(rate > 0, free / rate, dr.inf)
+        exit, beyond = bricks.leave(s.brick, s.t)
+        leaves = there >= exit
+        s.t = dr.minimum(there, exit)
+        s.brick = dr.select(leaves, beyond, s.brick)
+        goes_on = s.stepping & (s.t < far)
+        s.stepping = goes_on & ~leaves
+        tentative(sampler, s, local)
+        s.stepping |= goes_on & leaves
         return sampler, s
 
-    near, far, majorant = media.ask("bounds", location, ray)
-    far, rate = dr.minimum(far, end), majorant * thinning
-    state = _Track(near, active & (near < far), mi.Bool(False), mi.UnpolarizedSpectrum(1))
+    def tentative(sampler: Any, s: _Track, majorant: Any) -> None:
+        mei = medium_interaction(ray.d, ray, ray(s.t), s.t)
+        sigma_n, sigma_t = media.ask("coefficients", location, mei, majorant, active=s.stepping)
+        collide(sampler, s, sigma_n, sigma_t, majorant)
+
+    state = _Track(
+        t=near,
+        stepping=active & (near < far),
+        collided=mi.Bool(False),
+        weight=mi.UnpolarizedSpectrum(1),
+        brick=bricks.at(near) if bricks else None,
+    )
     _, found = dr.while_loop((sampler, state), lambda sampler, s: s.stepping, step, label=label)
     return found
+
+
+class _Bricks:
+    """A ray through unit cubes."""
+
+    def __init__(self, o: Any, d: Any) -> None:
+        self.o, self.d = o, d
+        # Parallel to planes it meets them far away, not at infinity: no 0 * inf.
+        tiny = dr.maximum(1e-12 * dr.max(dr.abs(d)), 1e-30)
+        self.inverse = [dr.rcp(dr.select(dr.abs(d[k]) > tiny, d[k], tiny)) for k in range(3)]
+
+    def at(self, t: Any) -> Any:
+        """The brick at a distance."""
+        return mi.Vector3i(dr.floor(self.o + self.d * t))
+
+    def leave(self, brick: Any, t: Any) -> tuple[Any, Any]:
+        """Distance, not below ``t``, at which the ray leaves a brick, and the next one."""
+        exits = []
+        for k in range(3):
+            plane = brick[k] + dr.select(self.inverse[k] > 0, 1, 0)
+            exits.append((mi.Float(plane) - self.o[k]) * self.inverse[k])
+        first = dr.minimum(dr.minimum(exits[0], exits[1]), exits[2])
+        beyond = mi.Vector3i(brick)
+        for k in range(3):
+            onward = brick[k] + dr.select(self.inverse[k] > 0, 1, -1)
+            beyond[k] = dr.select(exits[k] <= first, onward, brick[k])
+        return dr.maximum(first, t), beyond

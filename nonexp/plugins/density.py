@@ -139,9 +139,10 @@ class Density:
         """voxel before the first one"""
         self.after = [_whole(end) for end in ends]
         """voxel after the last one"""
+        self.brick_counts = [_whole(n) for n in bricks]
         self.brick_strides = [_whole(n) for n in (1, bricks[0], bricks[0] * bricks[1])]
         self.bricks = self._bricks(bricks)
-        """density of each brick; -1 where it is not constant"""
+        """density of each brick; where it is not constant, minus the largest one"""
 
     @property
     def uniform(self) -> float:
@@ -164,10 +165,19 @@ class Density:
         return mi.Vector3f(*(_product(row, vector, None) for row in self.rows))
 
     def brick(self, cell: Sequence[Any], active: Any) -> Any:
-        """Density of the brick around a cell; -1 where it is not constant."""
-        sy, sz = self.brick_strides[1:]
-        x, y, z = (c >> 3 for c in cell)
-        return dr.gather(mi.Float, self.bricks, mi.UInt32(x + y * sy + z * sz), active)
+        """Density of the brick around a cell; where it is not constant, minus the largest one."""
+        return self._brick([c >> 3 for c in cell], active)
+
+    def bound(self, brick: Sequence[Any], active: Any) -> Any:
+        """Upper bound of the density in a brick, by its place among all; none beyond them."""
+        inside = mi.Bool(active)
+        for b, n in zip(brick, self.brick_counts, strict=True):
+            inside &= (b >= 0) & (b < n)
+        return dr.abs(self._brick(brick, inside))
+
+    def _brick(self, brick: Sequence[Any], active: Any) -> Any:
+        x, y, z = (b * s for b, s in zip(brick, self.brick_strides, strict=True))
+        return dr.gather(mi.Float, self.bricks, mi.UInt32(x + y + z), active)
 
     def corners(self, cell: Sequence[Any], active: Any) -> list[Any]:
         """Density at the corners of a cell, x first, then y; its only value if ``nearest``."""
@@ -205,7 +215,7 @@ class Density:
         return dr.gather(mi.Float, self.data, mi.UInt32(sum(offsets) + self.channel), active)
 
     def _bricks(self, counts: Sequence[int]) -> Any:
-        """Density of each brick, by looking at all of it; -1 where it is not constant."""
+        """Density of each brick, or minus the largest one, by looking at all of it."""
         number = dr.arange(mi.Int32, counts[0] * counts[1] * counts[2])
         _, sy, sz = self.brick_strides
         z = number // sz
@@ -230,7 +240,7 @@ class Density:
             body,
             label="nonexp: bricks",
         )
-        result = dr.select(low == high, low, -1)
+        result = dr.select(low == high, low, -high)
         dr.eval(result)
         return result
 
