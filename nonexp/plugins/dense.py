@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import os
+import re
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -25,7 +26,7 @@ def reading(path: str) -> Iterator[None]:
     except (GridError, ImportError):
         raise
     except Exception as error:
-        said = (str(error).strip() or type(error).__name__).splitlines()[0].rstrip(".")
+        said = re.split(r"\n|\.\s", str(error).strip() or type(error).__name__)[0].rstrip(".")
         raise GridError(f"filename is {path!r}: it cannot be read ({said})") from error
 
 
@@ -81,7 +82,7 @@ class Box:
         self.values[z, y, x] = value
 
     def placed(self, to_world: Any) -> Any:
-        """Matrix from the unit cube, by that from voxel indices, at whose centres they are whole."""
+        """Matrix from the unit cube, by that from voxel indices, which are whole at centres."""
         to_index = np.eye(4)
         to_index[:3, :3] = np.diag(self.shape[::-1])
         to_index[:3, 3] = self.low - 0.5

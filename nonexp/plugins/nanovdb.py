@@ -16,7 +16,18 @@ from nonexp.plugins.dense import Box, GridError, choose
 
 __all__ = ["read"]
 
-_TYPES = ("?", "Float", "Double", "Int16", "Int32", "Int64", "Vec3f", "Vec3d", "Mask", "Half")
+_TYPES: tuple[str, ...] = (
+    "?",
+    "Float",
+    "Double",
+    "Int16",
+    "Int32",
+    "Int64",
+    "Vec3f",
+    "Vec3d",
+    "Mask",
+    "Half",
+)
 _TYPES += ("UInt32", "Bool", "RGBA8", "Fp4", "Fp8", "Fp16", "FpN")
 _CODES: dict[str, Any] = {
     "Float": ("<f4", 512),
