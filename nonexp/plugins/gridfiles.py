@@ -39,7 +39,8 @@ def read(path: str, field: str = "") -> tuple[Any, Any]:
     if ending not in _READERS:
         raise GridError(f"filename is {path!r}: it must end in {', '.join(_READERS)}")
     if not os.path.isfile(path):
-        what = "is a folder" if os.path.isdir(path) else "does not exist"
+        missing = "does not exist (the command nonexp cloud FILE makes a grid)"
+        what = "is a folder" if os.path.isdir(path) else missing
         raise GridError(f"filename is {path!r}: it {what}")
     if field and ending in (".vol", ".npy"):
         raise GridError(f"field is {field!r}: a {ending} file holds one grid, without a name")
