@@ -54,17 +54,18 @@ def _vol(path: str, _: str) -> tuple[Any, None]:
 
 
 def _npy(path: str, _: str) -> tuple[Any, None]:
-    array = np.load(path, allow_pickle=False)
+    with open(path, "rb") as file:
+        array = np.load(file, allow_pickle=False)
     if not isinstance(array, np.ndarray):
         raise ValueError("its contents are those of a .npz file")
     return array, None
 
 
 def _npz(path: str, field: str) -> tuple[Any, None]:
-    archive = np.load(path, allow_pickle=False)
-    if isinstance(archive, np.ndarray):
-        raise ValueError("its contents are those of a .npy file")
-    with archive:
+    with open(path, "rb") as file:  # which np.load leaves open where it fails
+        archive = np.load(file, allow_pickle=False)
+        if isinstance(archive, np.ndarray):
+            raise ValueError("its contents are those of a .npy file")
         array = archive[archive.files[choose(path, field, archive.files)]]
     if not isinstance(array, np.ndarray):
         raise ValueError("what it holds is no array")

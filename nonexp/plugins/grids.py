@@ -44,7 +44,7 @@ def density_volume(props: mi.Properties) -> tuple[mi.Volume, float]:
         )
     to_world = props.get("to_world", mi.ScalarTransform4f())
     if placed is not None:
-        to_world = to_world @ mi.ScalarTransform4f(placed)
+        to_world = mi.ScalarTransform4d(np.array(to_world.matrix, dtype=float) @ placed)
     volume = values.make(
         "gridvolume",
         grid=mi.VolumeGrid(array),
