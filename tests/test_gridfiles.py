@@ -129,10 +129,10 @@ def test_a_vdb_lies_where_it_says(folder: Path, name: str) -> None:
     index = np.stack([x, y, z, np.ones_like(x)]).astype(float)
     index[:3] += low[:, None]
     points = np.array(moved.matrix, dtype=float) @ vdbfiles.TO_WORLD @ index
-    looked = found.density.lookup(mi.Point3f(points[:3].astype(np.float32)))
+    looked = found.density.lookup(mi.Point3f(*map(mi.Float, points[:3])))
     np.testing.assert_array_equal(looked, expected.ravel())
     beyond = (vdbfiles.TO_WORLD @ [*(high + 0.51), 1])[:3] * 3 + [5, -1, 2]
-    assert found.density.lookup(mi.Point3f(*beyond))[0] == 0
+    assert found.density.lookup(mi.Point3f(beyond.tolist()))[0] == 0
 
 
 def test_a_file_is_the_same_as_a_gridvolume(folder: Path) -> None:
