@@ -76,9 +76,8 @@ class Box:
         self.values[z, y, x] = values
 
     def fill(self, origin: Any, size: int, value: float) -> None:
-        """Set all voxels of a cube that lie in the box."""
-        first = np.asarray(origin, np.int64) - self.low
-        x, y, z = (slice(max(int(n), 0), max(int(n) + size, 0)) for n in first)
+        """Set all voxels of a cube, which lies in the box."""
+        x, y, z = (slice(n, n + size) for n in np.asarray(origin, np.int64) - self.low)
         self.values[z, y, x] = value
 
     def placed(self, to_world: Any) -> Any:
