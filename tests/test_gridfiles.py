@@ -211,6 +211,7 @@ BAD: dict[str, tuple[bytes | None, str, str]] = {
         "",
         "its grid holds inf: densities must be finite",
     ),
+    "root.vdb": (None, "", r"its grid spans 4096 x 4096 x 4096 voxels, 256 GiB if every one"),
     "several.vdb": (None, "", "field is missing: it must be one of 'density', 'heat', 'mask', "),
     "several.nvdb": (None, "smoke", "field is 'smoke': it must be one of 'big', 'density', "),
     "blosc.nvdb": (None, "", "its grid 'density' is compressed by Blosc: it must be uncompressed"),

@@ -10,7 +10,7 @@ python3-openvdb and libnanovdb-tools), packed as text.
     empty    no active voxel
     big      two voxels far apart
 
-``ramp`` holds RAMP, in 32 bits and with 4, 8 and 16 bits per value.
+``root`` holds one tile of 4096^3 voxels. ``ramp`` holds RAMP, in 32 bits and with 4, 8 and 16 bits per value.
 """
 
 from __future__ import annotations
@@ -158,5 +158,11 @@ GEC2WUy-TQmDTz%W0!%&KD&#r>lhkdul}&@x-4Gv4*YDh`l`|QSbC;U{hgz(=hnDxZJ!z=<G-%9KHy~U
 w>)^R(Ma!RGwhGPCn|A7AQB=5gvUc?9$=R8?A>Hr!&9!D{%HF(n<J|je_Df55-Mgi4-e$ji>#Z}gZ?-Jk*Y@(}OoQ50BFol?9s1
 &C>LY)X>+<r~iB(%Amznb){_-kk#=RJx%g2F|kA54}CR_XDziofHv)Q2bq5F(^+HEhF7R}hVRce`hUdzj$cMbO5;kaBLmH6xEJM
 Qr7{@aS$R{{WD!6fn
+    """,
+    "root.vdb": """
+c-pm6O-sZu5N*X(5kJ<0;IVfpl(t*jld^c!lONZRrc(*zV`;Lb`)~Ir_z!gA8rH5}9eBK9c$0ZEB%0s91{iC^aj=OHlBBA$qKvD
+A=5Y>?#Z`7w#%Vh%5|&qKTDD(8#6F_a+D?(5I{?xOO)Z&`oMcY3`hN6bZ_EdXL&Pbf<pM}u>w!o*Ot8=c%lHW<ALm=_D7hLbf5y
+}+nU;$VjNw|jdB%2Jy<K8f3vF0*9Z_a^4^dCW63m5fYe3KyGz2$k+*IN#uHXiod8GtN>XilKyl`cU{0Nh)$&Qa+4<OLZQrVHvi`
+)?vm9RDG&x(5oFN(LilTVBac%+L>+xzYR^7<Et{(A&}#$EUc_qA|+
     """,
 }

@@ -79,8 +79,11 @@ def _to_world(said: str, transform: Any) -> Any:
 
 
 def _has_tiles(tree: Any) -> bool:
-    nodes = (tree.node(number) for number in range(tree.num_nodes))
-    return any(node.type == "internal" and node.active_voxel_count for node in nodes)
+    """Of the root, ``active_voxel_count`` is the number of tiles and children."""
+    nodes = [tree.node(number) for number in range(tree.num_nodes)]
+    inner = [node for node in nodes if node.type == "internal"]
+    children = sum(node.level == 1 for node in inner)
+    return nodes[0].active_voxel_count > children or any(n.active_voxel_count for n in inner)
 
 
 def _tiles(file: Any, number: int) -> Iterator[tuple[Any, int, float]]:
