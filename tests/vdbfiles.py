@@ -10,7 +10,8 @@ python3-openvdb and libnanovdb-tools), packed as text.
     empty    no active voxel
     big      two voxels far apart
 
-``root`` holds one tile of 4096^3 voxels. ``ramp`` holds RAMP, in 32 bits and with 4, 8 and 16 bits per value.
+``root`` holds one tile of 4096^3 voxels; ``ramp`` holds RAMP, in 32 bits and with 4, 8 and 16 bits
+per value.
 """
 
 from __future__ import annotations
