@@ -25,6 +25,7 @@ from . import models, parameters, plugins  # noqa: E402
 from .fitting import fit  # noqa: E402
 from .images.image import Image  # noqa: E402
 from .parameters import parameter  # noqa: E402
+from .plugins.gridfiles import read_grid  # noqa: E402
 from .rendering.render import render  # noqa: E402
 from .rendering.targets import Progress  # noqa: E402
 from .transmittance import Draw, Transmittance  # noqa: E402
@@ -40,6 +41,7 @@ __all__ = [
     "parameter",
     "parameters",
     "plugins",
+    "read_grid",
     "render",
 ]
 

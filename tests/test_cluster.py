@@ -23,6 +23,7 @@ from nonexp import cli, rendering
 from nonexp.rendering import Plan, cluster
 from nonexp.rendering.job import RenderJob
 from nonexp.rendering.render import run
+from nonexp.scene.cloud import cloud
 from nonexp.scene.load import load
 
 pytestmark = pytest.mark.thorough
@@ -53,6 +54,15 @@ MEDIUM = """
 <scene version="3.0.0">
     <medium type="nonexp_homogeneous" id="medium">
         <texture type="transmittance_linear" name="t"><float name="b" value="$b"/></texture>
+    </medium>
+</scene>
+"""
+GRID = """
+<scene version="3.0.0">
+    <medium type="nonexp_heterogeneous" id="medium">
+        <string name="filename" value="grids/$b.npy"/>
+        <transform name="to_world"><translate value="-0.5"/><scale value="2"/></transform>
+        <texture type="transmittance_linear" name="t"/>
     </medium>
 </scene>
 """
@@ -106,6 +116,19 @@ def test_a_worker_renders_the_sensor_asked_for(workers: cluster.Cluster, path: P
     np.testing.assert_array_equal(list(workers.passes(asked)), here)
     other = list(rendering.render_passes(loaded.scene, Plan(1, 4)))
     assert not np.array_equal(here, other)
+
+
+def test_a_worker_finds_the_grid_of_a_medium(workers: cluster.Cluster, path: Path) -> None:
+    (path.parent / "medium.xml").write_text(GRID)
+    (path.parent / "grids").mkdir()
+    for name, seed in (("a", 1), ("1", 2)):
+        np.save(path.parent / f"grids/{name}.npy", cloud(16, seed))
+    found = []
+    for parameters in ({"b": "a"}, {}):
+        here = list(rendering.render_passes(load(path, parameters).scene, Plan(1, 4), 5))
+        np.testing.assert_array_equal(list(workers.passes(job(path, 1, **parameters))), here)
+        found.append(here)
+    assert not np.array_equal(*found)
 
 
 def test_a_scene_in_memory_has_nothing_to_send(workers: cluster.Cluster) -> None:

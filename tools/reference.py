@@ -163,7 +163,7 @@ Written by `tools/reference.py` from the docstrings. What is not listed here may
 notice. Arrays are NumPy's; models compute with Python floats and Dr.Jit's arrays."""
 
 DOCUMENTED: dict[str, tuple[Any, tuple[str, ...]]] = {
-    "nonexp": (nonexp, ("render", "Image", "Transmittance", "parameter")),
+    "nonexp": (nonexp, ("render", "Image", "Transmittance", "parameter", "read_grid")),
     "nonexp.models": (models, ("create", "names", "register", "fit", "to_dict", "to_xml")),
     "nonexp.fitting": (fitting, ("Fit", "compare", "read_table")),
     "nonexp.parameters": (parameters, ("whole", "vector", "text", "function", "components")),

@@ -16,7 +16,18 @@ from .arguments import UserError
 
 __all__ = ["COMMANDS", "app", "main", "parse"]
 
-COMMANDS = ("render", "merge", "compare", "info", "models", "plot", "fit", "bench", "doctor")
+COMMANDS = (
+    "render",
+    "merge",
+    "compare",
+    "info",
+    "models",
+    "plot",
+    "fit",
+    "cloud",
+    "bench",
+    "doctor",
+)
 
 EXAMPLES = """\
 examples:
@@ -30,6 +41,7 @@ examples:
   nonexp models
   nonexp plot gamma alpha=0.5 -o gamma.svg
   nonexp fit data.csv --model gamma --model linear -o fit.png
+  nonexp cloud scenes/cloud.npz
   nonexp doctor
 """
 

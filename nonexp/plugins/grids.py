@@ -36,9 +36,15 @@ def density_volume(props: mi.Properties) -> tuple[mi.Volume, float]:
     name = str(props["filename"])
     path = str(mi.file_resolver().resolve(name))
     array, placed = gridfiles.read(path, str(props.get("field", "")))
+    low, high = array.min(), array.max()
+    if not (low >= 0 and high < np.inf):
+        bad = low if not low >= 0 else high
+        raise ValueError(
+            f"filename is {path!r}: its grid holds {bad:g}: densities must be finite numbers >= 0"
+        )
     to_world = props.get("to_world", mi.ScalarTransform4f())
     if placed is not None:
-        to_world = to_world @ mi.ScalarTransform4f(placed)
+        to_world = mi.ScalarTransform4d(np.array(to_world.matrix, dtype=float) @ placed)
     volume = values.make(
         "gridvolume",
         grid=mi.VolumeGrid(array),

@@ -255,9 +255,10 @@ class NonexpHeterogeneous(NonexpMedium):
         outermost voxels. With three channels, these must be multiples of one grid. A
         ``constvolume`` or a value is a density that is the same everywhere.
     ``filename`` (string)
-        A grid file in place of ``sigma_t``: Mitsuba's ``.vol``, NumPy's ``.npy`` or ``.npz``, or
-        OpenVDB's ``.vdb`` or ``.nvdb`` (needs ``pip install nonexp[vdb]``). An array has the axes
-        z, y, x. It goes with ``field`` (string: name of a grid or array in the file),
+        A grid file in place of ``sigma_t``: Mitsuba's ``.vol``, NumPy's ``.npy`` or ``.npz``,
+        OpenVDB's ``.vdb`` (needs ``pip install "nonexp[vdb]"``) or NanoVDB's ``.nvdb``. An array
+        has the axes z, y, x and fills the unit cube; the last two know where they lie. It goes
+        with ``field`` (string: name of a grid or array, where the file holds several),
         ``to_world``, ``filter_type`` and ``wrap_mode``, as of ``gridvolume``.
     ``extinction`` (float, rgb or spectrum, default 1)
         Extinction per scene unit where the density is 1; a colour makes it differ between channels.

@@ -6,6 +6,7 @@
 ``parse``          scene files through Mitsuba's parser
 ``files``          the files that make up a scene
 ``identity``       what identifies a render
+``cloud``          a procedural cloud
 ``walk``           the objects that a scene holds
 ``messages``       what is wrong, in one sentence
 =================  ===============================================================================
