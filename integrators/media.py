@@ -436,15 +436,20 @@ def _stock_albedo(medium: Any, mei: Any, active: Any = True) -> Any:
 # --------------------------------------------------------------------- all media of a scene
 
 
-def scene_media(pointers: Sequence[Any], sealed: Sequence[Any]) -> Media | None:
+def scene_media(
+    pointers: Sequence[Any], sealed: Sequence[Any], everywhere: bool = False
+) -> Media | None:
     """Those of some media in which anything can collide; None if there is none.
 
-    No straight line from the ``sealed`` ones reaches an emitter.
+    No straight line from the ``sealed`` ones reaches an emitter. ``everywhere``: the only one is
+    bounded by its grid alone.
     """
     found = (entry_of(pointer, sealed=pointer in sealed) for pointer in pointers)
     entries = [entry for entry in found if entry is not None]
     if not entries:
         return None
+    if everywhere:
+        return Everywhere(entries[0], alone=True)
     if len(entries) == 1:
         return OneMedium(entries[0], alone=len(pointers) == 1)
     return ManyMedia(entries)
@@ -590,6 +595,21 @@ class OneMedium(Media):
 
     def _each(self, question: Callable[..., Any], location: Any, *args: Any, active: Any) -> Any:
         return question(self.entries[0], *args, active=active)
+
+
+class Everywhere(OneMedium):
+    """A single medium on a grid: rays are always in it, and meet density where that is."""
+
+    def at(self, pointer: Any) -> Any:
+        return mi.Bool(True)
+
+    def inside(self, location: Any) -> Any:
+        return mi.Bool(True)
+
+    def behind(
+        self, si: Any, active: Any, location: Any, direction: Any, contact: Contact | None = None
+    ) -> Any:
+        return location
 
 
 class ManyMedia(Media):

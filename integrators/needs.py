@@ -15,9 +15,9 @@ from nonexp.scene import walk
 from nonexp.system import insides
 
 from .coincident import Coincident, coincident, scatters
-from .jit import Remembered
+from .jit import Remembered, recording
 from .media import entry_of
-from .rays import Offset, place, state
+from .rays import Offset, detachable, place, state
 
 _SMOOTH = ("Sphere", "Cylinder", "Disk", "Rectangle")
 
@@ -68,25 +68,33 @@ class SceneNeeds:
     """Shapes of which parts lie in one place, boundaries among them."""
     silent: tuple[Any, ...] = ()
     """BSDFs that let rays straight through, but do not tell shadow rays how many."""
+    shell: Any = None
+    """The invisible boundary of the only medium, around all of its grid: rays can do without."""
 
     @staticmethod
-    def of(scene: mi.Scene, start: Any = None, refractive: str = "auto") -> SceneNeeds:
+    def of(
+        scene: mi.Scene, start: Any = None, refractive: str = "auto", hides: bool = False
+    ) -> SceneNeeds:
         """Look at ``scene``; ``start`` is the medium in which the rays begin, if any.
 
         ``refractive`` says whether connections bend: ``auto`` (where that helps), ``on`` (wherever
-        they can) or ``off``.
+        they can) or ``off``. ``hides``: rays pass emitters that are hidden.
         """
         shapes, media = walk.shapes(scene), walk.media(scene)
         if start is not None and start not in media:
             media.insert(0, start)
-        together = coincident(scene.shapes(), Offset(scene).extent)
+        sealed = tuple(m for m in media if m != start and _sealed(scene, shapes, m))
+        shell = None if hides else _shell(scene, shapes, media)
+        shapes = [shape for shape in shapes if shape != shell]
+        direct = [shape for shape in scene.shapes() if shape != shell]
+        together = coincident(direct, Offset(scene).extent)
         touching = [shape for group in together.groups for shape in group]
         emitter_flags = [emitter.flags() for emitter in scene.emitters()]
         lobes = _lobes(scene, shapes, refractive) if emitter_flags else ()
         delta, infinite = mi.EmitterFlags.Delta, mi.EmitterFlags.Infinite
         return SceneNeeds(
             media=tuple(media),
-            sealed=tuple(m for m in media if m != start and _sealed(scene, shapes, m)),
+            sealed=sealed,
             smooth_surfaces=any(scatters(shape, mi.BSDFFlags.Smooth) for shape in shapes),
             smooth_boundaries=any(
                 shape.is_medium_transition() and scatters(shape, mi.BSDFFlags.Smooth)
@@ -105,6 +113,7 @@ class SceneNeeds:
             lobes=tuple(lobe for lobe in lobes if lobe not in touching),
             coincident=together,
             silent=_silent(shapes),
+            shell=shell,
         )
 
 
@@ -146,6 +155,48 @@ def _holds(shape: Any, point: Any) -> bool:
 
 def _dot(a: Any, b: Any) -> Any:
     return np.einsum("ij,ij->i", a, b)
+
+
+def _shell(scene: mi.Scene, shapes: list[Any], media: list[Any]) -> Any:
+    """The shape that only says where the only medium is, which its grid says too.
+
+    Density is zero outside of the grid, and a flight that enters it begins as one that enters the
+    shape does.
+    """
+    bounds = [shape for shape in shapes if shape.is_medium_transition()]
+    density = getattr(media[0], "density", None) if len(media) == 1 else None
+    if len(bounds) != 1 or density is None or recording() or "llvm" not in mi.variant():
+        return None
+    shell, direct = bounds[0], scene.shapes()
+    rest = [shape for shape in direct if shape != shell]
+    plain = shell.bsdf().class_name() == "Null" and not shell.is_emitter()
+    inside = shell.interior_medium() == media[0] and shell.exterior_medium() is None
+    if not (plain and inside and shell in direct and len(shapes) == len(direct)):
+        return None
+    if not (detachable(rest) and _contains(shell, density.corners_of_box)):
+        return None
+    return None if forgotten_media(scene) else shell
+
+
+def _contains(shape: Any, points: Any) -> bool:
+    """Whether a closed shape surely has some points, and all between them, inside or on it."""
+    if not _encloses(shape):
+        return False
+    slack = 1e-5 * float(np.max(np.ptp(points, axis=0)))
+    if not shape.is_mesh():
+        where = place(shape)
+        if where is None:
+            return False
+        centre, radius = (np.array(value, dtype=float).ravel() for value in where)
+        return bool(np.all(np.linalg.norm(points - centre, axis=1) <= radius + slack))
+    if shape.face_count() > 4096:
+        return False
+    vertices = np.array(insides.vertex_positions(shape), dtype=float).reshape(-1, 3)
+    a, b, c = (vertices[k] for k in np.array(insides.faces(shape)).reshape(-1, 3).T)
+    normals = np.cross(b - a, c - a)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    # What lies behind the planes of all faces can see every one of them from inside.
+    return bool(np.all(points @ normals.T <= _dot(a, normals) + slack))
 
 
 def _null_ball(shapes: list[Any], media: list[Any]) -> Any:

@@ -7,6 +7,7 @@ what lies behind them then needs no test at all.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -136,10 +137,18 @@ class Sphere:
         return (square >= 0) & (t >= 0) & (t <= limit), t
 
 
-def separate(scene: mi.Scene) -> tuple[tuple[Sphere, ...], tuple[Any, ...]]:
+def detachable(shapes: Sequence[Any]) -> bool:
+    """Whether a scene of these shapes alone would notice a change of their geometry, and is made
+    soon."""
+    placed = all(shape.is_mesh() or shape.class_name() in _PLACED for shape in shapes)
+    faces = sum(shape.face_count() if shape.is_mesh() else 1 for shape in shapes)
+    return placed and faces <= MOST_FACES
+
+
+def separate(scene: mi.Scene, left_out: Any = None) -> tuple[tuple[Sphere, ...], tuple[Any, ...]]:
     """The spheres that the kernel intersects itself, if that is possible and pays, and all other
-    shapes."""
-    shapes = tuple(scene.shapes())
+    shapes; without one that is ``left_out``."""
+    shapes = tuple(shape for shape in scene.shapes() if shape != left_out)
     none: tuple[Sphere, ...] = ()
     if "llvm" not in mi.variant() or recording() or len(shapes) > MOST_SHAPES:
         return none, shapes
@@ -147,9 +156,7 @@ def separate(scene: mi.Scene) -> tuple[tuple[Sphere, ...], tuple[Any, ...]]:
     rest = tuple(shape for shape, found in zip(shapes, places, strict=True) if not found)
     if not 0 < len(shapes) - len(rest) <= MOST_SPHERES:
         return none, shapes
-    if not all(shape.is_mesh() or shape.class_name() in _PLACED for shape in rest):
-        return none, shapes  # a change of their geometry would not be noticed
-    if sum(shape.face_count() if shape.is_mesh() else 1 for shape in rest) > MOST_FACES:
+    if not detachable(rest):
         return none, shapes
     spheres = tuple(
         Sphere(shape, opaque(mi.ShapePtr, shape), *found)
@@ -230,10 +237,15 @@ class Tracer:
         self._scene, self.spheres, self._contacts = scene, spheres, contacts
 
     @staticmethod
-    def of(scene: mi.Scene, subscenes: Subscenes, contacts: Contacts | None = None) -> Tracer:
-        """The tracer of a scene."""
-        spheres, rest = separate(scene)
-        if not spheres:
+    def of(
+        scene: mi.Scene,
+        subscenes: Subscenes,
+        contacts: Contacts | None = None,
+        left_out: Any = None,
+    ) -> Tracer:
+        """The tracer of a scene, without a shape that is ``left_out``."""
+        spheres, rest = separate(scene, left_out)
+        if not spheres and left_out is None:
             return Tracer(scene, contacts=contacts)
         return Tracer(subscenes.of(rest) if rest else None, spheres, contacts)
 
@@ -249,7 +261,7 @@ class Tracer:
     def intersect(self, ray: mi.Ray3f, coherent: Any, active: Any) -> mi.SurfaceInteraction3f:
         """The first surface on a ray."""
         flags = mi.RayFlags.All
-        if not self.spheres:
+        if self._scene and not self.spheres:
             return self._scene.ray_intersect(ray, flags, coherent, active)
         limit, hit = mi.Float(ray.maxt), dr.zeros(mi.ShapePtr)
         with dr.suspend_grad():

@@ -31,9 +31,9 @@ def findings(scene: mi.Scene) -> list[Finding]:
     sensors = scene.sensors()
     start = sensors[0].get_medium() if sensors else None
     wanted = getattr(scene.integrator(), "refractive_nee", "auto")
-    needs = SceneNeeds.of(scene, start, wanted)
-    media = scene_media(needs.media, needs.sealed)
-    spheres = [sphere.shape for sphere in separate(scene)[0]]
+    needs = SceneNeeds.of(scene, start, wanted, getattr(scene.integrator(), "hide_emitters", False))
+    media = scene_media(needs.media, needs.sealed, needs.shell is not None)
+    spheres = [sphere.shape for sphere in separate(scene, needs.shell)[0]]
     emitters = Counter(emitter.class_name() for emitter in scene.emitters())
     return [
         *_media(needs, media),
@@ -139,6 +139,8 @@ def _cameras(scene: mi.Scene) -> Finding:
 def _null(needs: SceneNeeds, media: Media | None, spheres: list[mi.Shape]) -> Finding:
     if needs.null_ball in spheres and not (media and media.tracks):
         answer, effect = "one sphere", "skipped: walks; flights go on behind it"
+    elif needs.shell is not None and not needs.null_surfaces:
+        answer, effect = f"only {_name(needs.shell)}", "left out: its grid says where the medium is"
     elif needs.null_surfaces:
         answer, effect = "some", "shadow rays walk through them; flights go on behind them"
     else:

@@ -65,8 +65,8 @@ class NonexpVolpath(mi.SamplingIntegrator):
         active: Any = True,
     ) -> tuple[mi.Spectrum, mi.Bool, list[mi.Float]]:
         self._warn(scene, medium)
-        needs = SceneNeeds.of(scene, medium, self.refractive_nee)
-        media = scene_media(needs.media, needs.sealed)
+        needs = SceneNeeds.of(scene, medium, self.refractive_nee, self.hide_emitters)
+        media = scene_media(needs.media, needs.sealed, needs.shell is not None)
         hero = draw_channel(sampler.next_1d()) if media and media.chromatic else None
         glass = refraction(needs.lobes, self._subscenes)
         ends = needs.smooth_surfaces or glass or (media and media.connects)
@@ -77,7 +77,7 @@ class NonexpVolpath(mi.SamplingIntegrator):
             contacts = Contacts(
                 together.groups, together.ranks, together.doubled, self._contact_scenes, offset
             )
-        tracer = Tracer.of(scene, self._subscenes, contacts)
+        tracer = Tracer.of(scene, self._subscenes, contacts, needs.shell)
         tracks = media and media.tracks
         ball = NullBall.of(needs.null_ball, tracer) if connects and not tracks else None
         silent = Numbering([mi.BSDFPtr(bsdf) for bsdf in needs.silent]) if needs.silent else None

@@ -14,7 +14,6 @@ from build import (
     LAMP,
     NO_ROULETTE,
     QUICK,
-    RENDERED,
     Case,
     ball,
     box,
@@ -28,6 +27,7 @@ from measure import assert_mean, assert_same, largest_kernel, passes, radiance
 from tiers import THOROUGH, quick, thorough
 
 from nonexp import models
+from nonexp.integrators.needs import SceneNeeds
 
 EMISSION_ALONE = {"type": "nonexp_volpath", "max_depth": 1}
 """Sees the emission of first collisions."""
@@ -67,7 +67,7 @@ def around(inside: Any, bsdf: str = "null", **parts: Any) -> dict[str, Any]:
 # ---------------------------------------------------------------------- exact values
 
 
-@pytest.mark.parametrize("case", quick(RENDERED, lambda case: case in QUICK[::4]), ids=model_id)
+@pytest.mark.parametrize("case", quick(QUICK, lambda case: case in QUICK[::4]), ids=model_id)
 def test_a_constant_grid_is_a_homogeneous_medium(case: Case) -> None:
     """Path by path, but for those where rounding decides. Chromatic, so that densities count."""
     colour = {"type": "rgb", "value": [1.0, 0.6, 0.2]}
@@ -147,7 +147,7 @@ def test_emission_of_an_erlang_ball_is_what_it_absorbs(albedo: float, absorbed: 
     assert_mean(light, math.pi / 4 * absorbed, 0.05)
 
 
-@pytest.mark.parametrize("case", quick(RENDERED, lambda case: case in QUICK[::5]), ids=model_id)
+@pytest.mark.parametrize("case", quick(QUICK[::2], lambda case: case in QUICK[::6]), ids=model_id)
 @pytest.mark.parametrize("kind", ["homogeneous", "heterogeneous"])
 def test_thermal_equilibrium(case: Case, kind: str) -> None:
     """Everything emits 1: each path without connections and roulette carries exactly 1."""
@@ -359,6 +359,88 @@ def test_other_variants(variant: str) -> None:
     got = passes(scene(**around(inside | {"emission": 0.5})), 2**10, 2, 3)
     again = passes(scene(**around(inside | {"emission": 0.5, "tracking": "delta"})), 2**10, 3, 3)
     assert_same(got, again, 0.08)
+
+
+# ---------------------------------------------------------------------- the boundary left out
+
+
+def cube(inside: Any, **kw: Any) -> dict[str, Any]:
+    return {"cube": box(inside, [-1, -1, -1], [1, 1, 1]) | kw}
+
+
+GROUND = {
+    "type": "rectangle",
+    "to_world": mi.ScalarTransform4f().translate([0, -1, 0]).rotate([1, 0, 0], -90).scale(4),
+    "bsdf": {"type": "diffuse"},
+}
+THING = {"type": "sphere", "radius": 0.4, "bsdf": {"type": "diffuse", "reflectance": 0.7}}
+CAMERA = {"sensor": perspective([0, 1, 5], [0, 0, 0], 40)}
+
+
+def test_an_invisible_boundary_around_a_grid_is_left_out() -> None:
+    inside = varied(noise())
+
+    def shell(hides: bool = False, **parts: Any) -> Any:
+        return SceneNeeds.of(scene(**parts), hides=hides).shell
+
+    small = varied(grid(noise(), half=0.5))
+    turned = mi.ScalarTransform4f().rotate([1, 1, 0], 30)
+    assert shell(**cube(inside), ground=GROUND, thing=THING)
+    assert shell(ball=ball(inside, radius=1.74))
+    assert shell(**cube(varied(grid(noise(), half=0.5, place=turned))))
+    assert not shell(ball=ball(inside)), "it cuts the grid's corners off"
+    assert not shell(**cube(varied(grid(noise(), half=0.9, place=turned))))
+    assert not shell(**cube(inside), hides=True)
+    assert not shell(**cube(inside), thing=ball(medium(), radius=0.1))
+    assert not shell(**cube(inside, bsdf={"type": "thindielectric"}))
+    assert not shell(**cube(inside, exterior=medium()))
+    assert not shell(**cube(inside, flip_normals=True))
+    assert not shell(**cube(medium())), "without a grid it is the boundary that counts"
+    assert shell(**cube(small), sensor=perspective([0, 0, 3], [0, 0, 0]))
+    lost = perspective([0, 0, 0.5], [0, 0, 0])
+    assert not shell(**cube(small), sensor=lost), "this sensor's rays start in vacuum"
+    named = {"id": "cloud"} | inside
+    found = {**lost, "medium": {"type": "ref", "id": "cloud"}}
+    assert shell(cloud=named, **cube({"type": "ref", "id": "cloud"}), sensor=found)
+
+
+@pytest.mark.parametrize("key", ["linear", *thorough("exponential", "gamma")])
+def test_leaving_it_out_changes_nothing(key: str) -> None:
+    """Beside a second medium, far away, it stays. With a floor that touches it, and inside."""
+    inside = varied(noise(), key, scale=4.0, albedo=0.8)
+    parts = {**CAMERA, **cube(inside), "ground": GROUND, "thing": THING, "lamp": LAMP}
+    parts["sky"] = FURNACE
+    far = {"far": ball(medium(), radius=0.1) | {"center": [0, 0, 90]}}
+    assert SceneNeeds.of(scene(**parts)).shell
+    assert not SceneNeeds.of(scene(**parts, **far)).shell
+    got, right = passes(scene(**parts), 2**10, 1, 3), passes(scene(**parts, **far), 2**10, 2, 3)
+    assert_same(got, right, 0.05)
+
+
+@THOROUGH
+def test_without_it_from_inside_against_volpath() -> None:
+    def parts(inside: dict[str, Any]) -> dict[str, Any]:
+        eye = perspective([0.3, 0, 0.8], [0, 0, 0], 60)
+        return {
+            "cloud": {"id": "cloud"} | inside,
+            "sensor": eye | {"medium": {"type": "ref", "id": "cloud"}},
+            **cube({"type": "ref", "id": "cloud"}),
+            "thing": THING,
+            "lamp": LAMP,
+            "sky": FURNACE,
+        }
+
+    right = passes(scene("volpath", **parts(stock(PLAIN))), 2**11, 1, 3)
+    assert_same(passes(scene(**parts(PLAIN)), 2**11, 2, 3), right, 0.05)
+
+
+def test_a_moved_thing_is_noticed_where_it_is_left_out() -> None:
+    made = scene(**CAMERA, **cube(varied(noise())), thing=GROUND, sky=FURNACE)
+    before = radiance(made, 2**8, 1).mean()
+    parameters = mi.traverse(made)
+    parameters["thing.to_world"] = mi.Transform4f().translate([0, 0, 50])
+    parameters.update()
+    assert abs(radiance(made, 2**8, 1).mean() - before) > 0.01
 
 
 # ---------------------------------------------------------------------- known faults of others

@@ -125,6 +125,9 @@ class Density:
         self.size = float(np.mean(np.linalg.norm(np.linalg.inv(placement.to_unit[:, :3]), axis=0)))
         """mean length of an edge, in scene units"""
         self.data = dr.detach(tensor.array)
+        unit = np.array(list(np.ndindex(2, 2, 2)), dtype=float) - placement.to_unit[:, 3]
+        self.corners_of_box = np.linalg.solve(placement.to_unit[:, :3], unit.T).T
+        """of the parallelepiped that the grid fills: 8 points"""
         self.channel = _whole(channel)
         self.rows = [[_real(x) for x in row] for row in rows]
         """affine map to index space, from the middle"""
@@ -148,6 +151,11 @@ class Density:
     def uniform(self) -> float:
         """Share of the bricks in which the density is constant."""
         return float(np.mean(np.array(self.bricks) >= 0))
+
+    @property
+    def bound_across(self) -> float:
+        """Bound of the density, integrated from one side of the grid to another, on average."""
+        return float(np.mean(np.abs(np.array(self.bricks)))) * self.size
 
     @property
     def steps_across(self) -> float:

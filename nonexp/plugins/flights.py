@@ -47,10 +47,10 @@ class Choice:
 
     @staticmethod
     def of(
-        wanted: str, density: Density, extinctions: tuple[Any, Any] | None, most: float
+        wanted: str, density: Density, extinctions: tuple[Any, Any] | None, extinction: float
     ) -> Choice:
-        """The way for a grid of a largest extinction ``most``, as the parameter ``tracking`` has
-        it. ``ValueError`` if that cannot be."""
+        """The way for a grid with ``extinction`` where its density is 1, as the parameter
+        ``tracking`` has it. ``ValueError`` if that cannot be."""
         if extinctions is None:
             if wanted == "delta":
                 raise ValueError(
@@ -61,11 +61,11 @@ class Choice:
         if wanted != "auto":
             return Choice(wanted == "delta", f"tracking is {wanted!r}")
         values, weights = (np.array(part, dtype=float) for part in extinctions)
-        steps = most * float(values @ weights) * density.size
+        steps = extinction * float(values @ weights) * density.bound_across
         cells = density.steps_across
         shown = f"{steps:.3g} tentative collisions across against {cells:.3g} steps by cells"
         return Choice(steps < _STEP * cells, shown)
 
 
-_STEP = 0.1
-"""Measured cost of a step from cell to cell, in tentative collisions."""
+_STEP = 0.25
+"""Measured cost of a step from cell to cell, in tentative collisions and the noise they add."""

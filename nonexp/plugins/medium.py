@@ -347,8 +347,8 @@ class NonexpHeterogeneous(NonexpMedium):
             self.mixing = flights.mixing(self._extinctions)
             self.reach = mi.Float(flights.reach(self.model))
             dr.make_opaque(self.reach)
-        most = float(extinction.max() * self._most * np.array(self.scale)[0])
-        self.choice = flights.Choice.of(self._wanted, self.density, self._extinctions, most)
+        largest = float(extinction.max() * np.array(self.scale)[0])
+        self.choice = flights.Choice.of(self._wanted, self.density, self._extinctions, largest)
 
     def intersect_aabb(self, ray: mi.Ray3f) -> tuple[mi.Bool, mi.Float, mi.Float]:
         if self.density is None:
