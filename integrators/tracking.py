@@ -21,6 +21,10 @@ from .media import Media, medium_interaction
 from .spectral import at_channel, balanced
 
 
+_LITTLE = 0.3
+"""Transmittance below which Russian roulette plays."""
+
+
 @dataclass
 class _Track:
     """State on the way along a ray."""
@@ -78,6 +82,11 @@ def transmittance(
 
     def collide(sampler: Any, s: _Track, sigma_n: Any, sigma_t: Any, majorant: Any) -> None:
         weight = s.weight * (sigma_n / majorant)
+        if media.any("bricked"):
+            # What hardly counts any more is not tracked to the end.
+            survival = dr.minimum(dr.max(weight) / _LITTLE, 1)
+            lives = sampler.next_1d(s.stepping) < survival
+            weight = dr.select(lives, weight / survival, 0)
         s.weight = mi.UnpolarizedSpectrum(dr.select(s.stepping, weight, s.weight))
         s.stepping &= dr.any(s.weight != 0)
 
