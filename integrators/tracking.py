@@ -20,7 +20,6 @@ from nonexp.numerics import log1p
 from .media import Media, medium_interaction
 from .spectral import at_channel, balanced
 
-
 _LITTLE = 0.3
 """Transmittance below which Russian roulette plays."""
 

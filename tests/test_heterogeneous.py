@@ -27,6 +27,7 @@ from measure import assert_mean, assert_same, largest_kernel, passes, radiance
 from tiers import THOROUGH, quick, thorough
 
 from nonexp import models
+from nonexp.integrators import rays
 from nonexp.integrators.needs import SceneNeeds
 
 EMISSION_ALONE = {"type": "nonexp_volpath", "max_depth": 1}
@@ -500,6 +501,27 @@ def test_updates_are_those_of_a_new_medium() -> None:
     assert np.array_equal(radiance(made, 2**10, 1), radiance(fresh, 2**10, 1))
 
 
+@pytest.mark.parametrize("tracking", ["regular", *thorough("delta")])
+def test_a_render_can_be_frozen(tracking: str) -> None:
+    """And replayed with another grid of the same size."""
+    inside = varied(noise(), "gamma", scale=3.0, albedo=0.8, tracking=tracking)
+    made = scene(**CAMERA, ball=ball(inside), far=THING | {"center": [0, 9, 0]}, sky=FURNACE)
+    parameters = mi.traverse(made)
+    (data,) = (key for key in parameters.keys() if key.endswith("sigma_t.data"))
+
+    @dr.freeze
+    def frozen(made: Any, seed: mi.UInt32) -> mi.TensorXf:
+        return mi.render(made, spp=4, seed=seed)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(rays, "MOST_SPHERES", 0)  # frozen functions do not tell spheres apart
+        for seed in range(4):
+            replayed = np.array(frozen(made, mi.UInt32(seed)))
+            assert np.array_equal(replayed, np.array(mi.render(made, spp=4, seed=seed)))
+            parameters[data] = parameters[data] * 1.5
+            parameters.update()
+
+
 @pytest.mark.parametrize(
     ("values", "message"),
     [
@@ -578,7 +600,7 @@ def test_an_empty_grid_is_no_medium() -> None:
 
 def test_a_rule_decides_how_flights_are_drawn() -> None:
     thin, thick = (built(sigma_t=noise(16, 16, 16), scale=s) for s in (0.01, 100.0))
-    assert thin.choice.delta and not thick.choice.delta
+    assert thin.tracked and not thick.tracked
     assert "tentative collisions" in thin.choice.reason
-    assert not built(model="linear", scale=0.01).choice.delta
-    assert built(tracking="delta", scale=1e3).choice.delta
+    assert not built(model="linear", scale=0.01).tracked
+    assert built(tracking="delta", scale=1e3).tracked

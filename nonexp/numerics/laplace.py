@@ -152,6 +152,11 @@ class AliasTable:
             level[i] = 1
         self._table = Table(np.stack([level, value, other], axis=1))
 
+    def arrays(self, kind: Any) -> list[Any]:
+        """The arrays of a Dr.Jit type that kernels read."""
+        self(kind(0.5), kind(0.5))
+        return self._table.arrays(kind)
+
     def __call__(self, first: Any, second: Any) -> Any:
         """The value that two uniform numbers in [0, 1) choose."""
         x = first * len(self._table)

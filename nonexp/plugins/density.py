@@ -147,6 +147,15 @@ class Density:
         self.bricks = self._bricks(bricks)
         """density of each brick; where it is not constant, minus the largest one"""
 
+    def arrays(self) -> list[Any]:
+        """All that kernels read, but the data of the volume."""
+        rows = [number for row in self.rows for number in row]
+        sizes = [*self.strides, *self.brick_strides, *self.brick_counts]
+        return [
+            *rows, *self.middle, *self.cells, self.low, *self.high, self.channel, *self.before,
+            *self.after, *sizes, self.bricks,
+        ]  # fmt: skip
+
     @property
     def uniform(self) -> float:
         """Share of the bricks in which the density is constant."""

@@ -10,6 +10,7 @@ import numpy as np
 from nonexp.numerics.laplace import AliasTable
 from nonexp.plugins.density import Density
 from nonexp.transmittance import Transmittance
+from nonexp.transmittance.kinds import number
 
 __all__ = ["TRACKING", "Choice", "mixing", "reach"]
 
@@ -24,13 +25,11 @@ def reach(model: Transmittance) -> float:
     return float(depths[gone[0]]) if gone.size else np.inf
 
 
-def mixing(extinctions: tuple[Any, Any] | None) -> tuple[AliasTable | None, AliasTable | None]:
+def mixing(extinctions: tuple[Any, Any]) -> tuple[AliasTable | None, AliasTable | None]:
     """Tables that draw S of a law ``T = E[exp(-S tau)]``: as it is, and in proportion to S.
 
-    None where there is nothing to draw.
+    None where S is always 1.
     """
-    if extinctions is None:
-        return None, None
     values, weights = (np.array(part, dtype=float) for part in extinctions)
     if np.all(values == 1) or not values @ weights > 0:
         return None, None
@@ -41,30 +40,28 @@ def mixing(extinctions: tuple[Any, Any] | None) -> tuple[AliasTable | None, Alia
 class Choice:
     """Which of the two ways, and why."""
 
-    delta: bool
-    """null collisions"""
+    extinctions: tuple[Any, Any] | None
+    """of flights by null collisions, as :attr:`Transmittance.extinctions`; None for a walk"""
     reason: str
 
     @staticmethod
-    def of(
-        wanted: str, density: Density, extinctions: tuple[Any, Any] | None, extinction: float
-    ) -> Choice:
+    def of(wanted: str, density: Density, model: Transmittance, extinction: float) -> Choice:
         """The way for a grid with ``extinction`` where its density is 1, as the parameter
         ``tracking`` has it. ``ValueError`` if that cannot be."""
-        if extinctions is None:
-            if wanted == "delta":
-                raise ValueError(
-                    "tracking is 'delta': it must be 'regular' or 'auto' for a transmittance that "
-                    "is no mixture of exponentials with constant parameters"
-                )
-            return Choice(False, "the law is no mixture of exponentials")
-        if wanted != "auto":
-            return Choice(wanted == "delta", f"tracking is {wanted!r}")
-        values, weights = (np.array(part, dtype=float) for part in extinctions)
-        steps = extinction * float(values @ weights) * density.bound_across
-        cells = density.steps_across
-        shown = f"{steps:.3g} tentative collisions across against {cells:.3g} steps by cells"
-        return Choice(steps < _STEP * cells, shown)
+        collisions = extinction * number(model.sigma_bar) * density.bound_across
+        steps = density.steps_across
+        why = f"tracking is {wanted!r}"
+        if wanted == "auto":
+            why = f"{collisions:.3g} tentative collisions across against {steps:.3g} cells"
+        if wanted == "regular" or (wanted == "auto" and collisions >= _STEP * steps):
+            return Choice(None, why)
+        extinctions = model.extinctions
+        if extinctions is None and wanted == "delta":
+            raise ValueError(
+                "tracking is 'delta': it must be 'regular' or 'auto' for a transmittance that is "
+                "no mixture of exponentials"
+            )
+        return Choice(extinctions, why if extinctions else "the law is no mixture of exponentials")
 
 
 _STEP = 0.25

@@ -290,6 +290,7 @@ class NonexpHeterogeneous(NonexpMedium):
         self._seen: tuple[int, ...] = ()
         self._placement: Placement | None = None
         self._prepared: Any = None
+        self.choice = flights.Choice(None, "")
         self._wanted = values.choice(props, "tracking", flights.TRACKING)
         if self.sigma_t.class_name() == "GridVolume":
             grids.check_density(self.sigma_t)
@@ -336,19 +337,20 @@ class NonexpHeterogeneous(NonexpMedium):
     @property
     def tracked(self) -> bool:
         """Flights draw an extinction and null collisions; else they walk through the grid."""
-        return self.choice.delta
+        return self.choice.extinctions is not None
 
     def _prepare(self, extinction: Any) -> None:
         """What integrators need to know of the law and the grid, made as often as these change."""
         assert self.density is not None
-        if self._prepared is not self.model:
-            self._prepared = self.model
-            self._extinctions = self.model.extinctions
-            self.mixing = flights.mixing(self._extinctions)
-            self.reach = mi.Float(flights.reach(self.model))
-            dr.make_opaque(self.reach)
         largest = float(extinction.max() * np.array(self.scale)[0])
-        self.choice = flights.Choice.of(self._wanted, self.density, self._extinctions, largest)
+        choice = flights.Choice.of(self._wanted, self.density, self.model, largest)
+        if self._prepared is not self.model or self.choice.reason != choice.reason:
+            self._prepared, self.choice = self.model, choice
+            self.reach = dr.opaque(mi.Float, flights.reach(self.model))
+            self.mixing = flights.mixing(choice.extinctions) if choice.extinctions else (None, None)
+        # Where functions are frozen Dr.Jit looks for what they read here.
+        tables = [array for law in self.mixing if law for array in law.arrays(mi.Float)]
+        self._held = [*self.density.arrays(), self.reach, *tables]
 
     def intersect_aabb(self, ray: mi.Ray3f) -> tuple[mi.Bool, mi.Float, mi.Float]:
         if self.density is None:
