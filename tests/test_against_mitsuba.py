@@ -184,8 +184,8 @@ COUNT = {
     "dielectric-constant": 256,
     "roughdielectric-point": 1024,
     "nested": 64,
-    "camera inside, area": 320,
-    "camera inside, point": 768,
+    "camera inside, area": 640,
+    "camera inside, point": 1024,
 }
 
 
@@ -225,7 +225,7 @@ def test_depth_and_hidden_emitters_as_mitsuba_counts_them(depth: int, hide: bool
         parts["emitter"]["flip_normals"] = False
         return {**parts, "sky": {"type": "constant", "radiance": 0.5}}
 
-    a, b = both(build, 80, depth=depth, hide_emitters=hide)
+    a, b = both(build, 200, depth=depth, hide_emitters=hide)
     assert_same(a, b, 0.02)
 
 

@@ -84,7 +84,8 @@ def assert_derivatives(
 ) -> None:
     """``got`` are derivatives of ``value`` at ``tau`` by a variable of size ``scale``.
 
-    ``exact_slope(t, side)`` is the derivative from the side of 1 or -1; either will do. Where the value is tiny, or the law singular, any finite number will do.
+    ``exact_slope(t, side)`` is the derivative from the side of 1 or -1; either will do.
+    Where the value is tiny, or the law singular, any finite number will do.
     """
     finite = np.isfinite(got)
     assert np.all(finite), f"{label} is {got[~finite]} at {tau[~finite]}"
