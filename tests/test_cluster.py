@@ -25,7 +25,7 @@ from nonexp.rendering.job import RenderJob
 from nonexp.rendering.render import run
 from nonexp.scene.load import load
 
-pytestmark = pytest.mark.thorough
+pytestmark = [pytest.mark.thorough, pytest.mark.usefixtures("several_threads")]
 
 pytest.importorskip("distributed")
 
