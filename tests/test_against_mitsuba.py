@@ -209,7 +209,7 @@ def test_stock_media_beside_ours_render_as_they_are(effort: int) -> None:
 def test_stock_media_alone_render_as_they_are(effort: int) -> None:
     ours = scene("nonexp_volpath", **lobe(stock, "null", "area"))
     theirs = scene("volpath", **lobe(stock, "null", "area"))
-    a, b = passes(ours, 768 * effort, 5, GRID), passes(theirs, 768 * effort, 6, GRID)
+    a, b = passes(ours, 1024 * effort, 5, GRID), passes(theirs, 1024 * effort, 6, GRID)
     assert_same(a, b, 0.012 / effort**0.5)
 
 

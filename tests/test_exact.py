@@ -316,7 +316,7 @@ def test_hardly_any_light_crosses_a_thousand_mean_free_paths(albedo: float) -> N
 def test_derivative_by_albedo_also_through_roulette(rr_depth: int) -> None:
     """Radiance is the mean of c^n over the number of collisions, its derivative that of n c^(n-1);
     n is known, path by path, from albedo 1/2. Longer paths, whose loops Dr.Jit compiles step by
-    step, are left out."""
+    step, are left out. Finds a bias of 3.5 %, 7 standard errors, with a probability above 0.9."""
     case, sigma_t, albedo, longest = ("gamma", {"alpha": 2.0}), 4.0, 0.9, 8
     n = collisions(case, sigma_t, 2**18, 50)
     expected = np.where(n < longest, n * albedo ** (n - 1), 0)
@@ -330,13 +330,14 @@ def test_derivative_by_albedo_also_through_roulette(rr_depth: int) -> None:
     key = "ball.interior_medium.albedo.value.value"
     dr.enable_grad(parameters[key])
     parameters.update()
-    image = mi.render(built, parameters, spp=2048, seed=51)
-    dr.forward(parameters[key])
-    slopes = np.array(dr.grad(image)).mean(axis=2).ravel()
-    assert np.all(np.isfinite(slopes))
-    # Pixels differ, so that their spread is no less than the error of the mean.
+    slopes = []
+    for seed in range(32):
+        image = mi.render(built, parameters, spp=64, seed=seed)
+        dr.forward(parameters[key])
+        slopes.append(np.array(dr.grad(image)).mean())
     error = np.hypot(stats.sem(slopes), stats.sem(expected.ravel()))
-    assert abs(slopes.mean() - expected.mean()) < 5 * error
+    assert error < 0.005 * expected.mean()
+    assert abs(np.mean(slopes) - expected.mean()) < 5 * error
 
 
 # ----------------------------------------------------------------------------- diffusive transport
