@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 
+import drjit as dr
 import mitsuba as mi
 import pytest
 
@@ -11,6 +13,22 @@ import nonexp  # noqa: F401  (registers the plugins)
 
 mi.set_variant("llvm_ad_rgb")
 mi.set_log_level(mi.LogLevel.Error)
+
+CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Workers of pytest-xdist share the cores: more threads than cores wait for each other."""
+    dr.set_thread_count(max(1, CORES // int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", 1))))
+
+
+@pytest.fixture(scope="module")
+def several_threads() -> Iterator[None]:
+    """Dr.Jit has 2 threads or more: what should not depend on their order could."""
+    before = dr.thread_count()
+    dr.set_thread_count(max(2, CORES))
+    yield
+    dr.set_thread_count(before)
 
 
 @pytest.fixture(autouse=True)

@@ -22,9 +22,9 @@ FALSE_ALARM = 1e-5
 2000 comparisons: all together cry wolf with a probability below 2 %."""
 
 
-def radiance(scene: Any, count: int, seed: int, grid: int = 1, channel: int | None = None) -> Any:
-    """``count`` paths through each cell of a ``grid`` x ``grid`` film: (cells, count) values of one
-    channel, or means over channels."""
+def radiance(scene: Any, count: int, seed: int, grid: int = 1, channels: bool = False) -> Any:
+    """``count`` paths through each cell of a ``grid`` x ``grid`` film: (cells, count) means over
+    channels, or with ``channels`` all of them, (channels, cells, count)."""
     sensor = scene.sensors()[0]
     cells = grid * grid
     sampler = mi.load_dict({"type": "independent"})
@@ -37,14 +37,15 @@ def radiance(scene: Any, count: int, seed: int, grid: int = 1, channel: int | No
     )
     light, _, _ = scene.integrator().sample(scene, sampler, ray, sensor.get_medium(), True)
     light *= weight
-    light = dr.mean(light) if channel is None else light[channel]
-    return np.array(light, dtype=np.float64).reshape(cells, count)
+    shape = (-1, cells, count) if channels else (cells, count)
+    return np.array(light if channels else dr.mean(light), dtype=np.float64).reshape(shape)
 
 
-def passes(scene: Any, count: int, seed: int, grid: int = 1, channel: int | None = None) -> Any:
-    """Block means of :data:`PASSES` independent passes: (cells, PASSES)."""
-    values = radiance(scene, count * PASSES, seed, grid, channel)
-    return values.reshape(grid * grid, PASSES, count).mean(axis=2)
+def passes(scene: Any, count: int, seed: int, grid: int = 1, channels: bool = False) -> Any:
+    """Block means of :data:`PASSES` independent passes: (cells, PASSES), or one for each of the
+    ``channels``."""
+    values = radiance(scene, count * PASSES, seed, grid, channels)
+    return values.reshape(*values.shape[:-1], PASSES, count).mean(axis=-1)
 
 
 def largest_kernel(run: Callable[[], Any]) -> Any:

@@ -136,8 +136,6 @@ def test_too_few_or_other_passes_are_refused() -> None:
 BIASED = """
 import mitsuba as mi
 
-pytestmark = pytest.mark.thorough
-
 class Biased(mi.SamplingIntegrator):
     def __init__(self, props):
         super().__init__(props)

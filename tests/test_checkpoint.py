@@ -26,7 +26,7 @@ from nonexp.rendering.job import RenderJob
 from nonexp.scene import identity as sceneid
 from nonexp.system import files
 
-pytestmark = pytest.mark.thorough
+pytestmark = [pytest.mark.thorough, pytest.mark.usefixtures("several_threads")]
 
 ROOT = Path(__file__).resolve().parent.parent
 

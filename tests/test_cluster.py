@@ -26,7 +26,7 @@ from nonexp.rendering.render import run
 from nonexp.scene.cloud import cloud
 from nonexp.scene.load import load
 
-pytestmark = pytest.mark.thorough
+pytestmark = [pytest.mark.thorough, pytest.mark.usefixtures("several_threads")]
 
 pytest.importorskip("distributed")
 

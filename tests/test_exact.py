@@ -1,7 +1,7 @@
 """nonexp_volpath against exact results, for every model.
 
 Without --full models are rendered on one example of each kind (``build.RENDERED``), with --quick on
-one example (``build.QUICK``), and in costly tests only those of two models.
+one example (``build.QUICK``); in costly tests on one example and on those of two models.
 """
 
 from __future__ import annotations
@@ -49,8 +49,9 @@ from nonexp import models
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """A test with an argument ``case`` runs on every model."""
     if "case" in metafunc.fixturenames:
-        cases = MODELS if metafunc.config.getoption("--full") else RENDERED
         few = getattr(metafunc.function, "few_laws", False)
+        cases = QUICK if few else RENDERED
+        cases = MODELS if metafunc.config.getoption("--full") else cases
         chosen = [case for case in QUICK if not few or case[0] in FEW]
         metafunc.parametrize("case", quick(cases, chosen.__contains__), ids=model_id)
 
@@ -60,7 +61,7 @@ FEW = ("linear", "gamma")
 
 
 def on_few_laws(test: Any) -> Any:
-    """With --quick a test runs on few models only."""
+    """A costly test runs on one example of each model, with --quick on few models only."""
     test.few_laws = True
     return test
 
@@ -126,7 +127,7 @@ def test_single_scattering_in_a_ball(case: Case, connecting: bool, effort: int) 
     inside = medium(*case, sigma_t=radius, albedo=albedo, sample_emitters=connecting)
     integrator = {"type": "nonexp_volpath", "max_depth": 2}
     parts = {"sensor": beam(), "ball": ball(inside), "sky": FURNACE}
-    got = passes(scene(integrator, **parts), 2**13 * effort, 5)
+    got = passes(scene(integrator, **parts), 2**11 * effort, 5)
 
     s, weight = quadrature(model, 0, 2 * radius)
     mu = (np.arange(1000) + 0.5) / 500 - 1
@@ -314,25 +315,29 @@ def test_hardly_any_light_crosses_a_thousand_mean_free_paths(albedo: float) -> N
 @pytest.mark.parametrize("rr_depth", [2, 1_000_000])
 def test_derivative_by_albedo_also_through_roulette(rr_depth: int) -> None:
     """Radiance is the mean of c^n over the number of collisions, its derivative that of n c^(n-1);
-    n is known, path by path, from albedo 1/2."""
-    case, sigma_t, albedo = ("gamma", {"alpha": 2.0}), 4.0, 0.9
+    n is known, path by path, from albedo 1/2. Longer paths, whose loops Dr.Jit compiles step by
+    step, are left out. Finds a bias of 3.5 %, 7 standard errors, with a probability above 0.9."""
+    case, sigma_t, albedo, longest = ("gamma", {"alpha": 2.0}), 4.0, 0.9, 8
     n = collisions(case, sigma_t, 2**18, 50)
-    expected = n * albedo ** (n - 1)
+    expected = np.where(n < longest, n * albedo ** (n - 1), 0)
+    assert 0.02 < np.mean(n >= longest) < 0.2
 
     inside = medium(*case, sigma_t=sigma_t, albedo=albedo, sample_emitters=False)
     parts = {"sensor": orthographic(1.0), "ball": ball(inside), "sky": FURNACE}
-    built = scene({"type": "nonexp_volpath", "rr_depth": rr_depth}, **parts)
+    integrator = {"type": "nonexp_volpath", "rr_depth": rr_depth, "max_depth": longest}
+    built = scene(integrator, **parts)
     parameters = mi.traverse(built)
     key = "ball.interior_medium.albedo.value.value"
     dr.enable_grad(parameters[key])
     parameters.update()
-    image = mi.render(built, parameters, spp=2048, seed=51)
-    dr.forward(parameters[key])
-    slopes = np.array(dr.grad(image)).mean(axis=2).ravel()
-    assert np.all(np.isfinite(slopes))
-    # Pixels differ, so that their spread is no less than the error of the mean.
+    slopes = []
+    for seed in range(32):
+        image = mi.render(built, parameters, spp=64, seed=seed)
+        dr.forward(parameters[key])
+        slopes.append(np.array(dr.grad(image)).mean())
     error = np.hypot(stats.sem(slopes), stats.sem(expected.ravel()))
-    assert abs(slopes.mean() - expected.mean()) < 5 * error
+    assert error < 0.005 * expected.mean()
+    assert abs(np.mean(slopes) - expected.mean()) < 5 * error
 
 
 # ----------------------------------------------------------------------------- diffusive transport
@@ -410,7 +415,7 @@ def test_erlang_half_space(albedo: float, mu: float | None, effort: int) -> None
         fog = box(inside, [-1e3, -1e3, -1e3], [1e3, 1e3, 0])
         built = scene(NO_ROULETTE, sensor=camera, fog=fog, sky=FURNACE)
         expected = (1 - s) * (2 + s * mu) / (2 * (1 + s * mu) ** 2)
-    assert_mean(radiance(built, 2**17 * effort, 25), expected, 0.04 / effort**0.5)
+    assert_mean(radiance(built, 2**16 * effort, 25), expected, 0.04 / effort**0.5)
 
 
 # ------------------------------------------------------------------------------- ensembles
@@ -458,9 +463,9 @@ def test_law_is_the_average_of_exponential_media(average: Case, effort: int) -> 
     for i, (value, share) in enumerate(zip(sigma, weight, strict=True)):
         parameters["ball.interior_medium.sigma_t.value.value"] = max(0.9 * value, 1e-9)
         parameters.update()
-        mean += share * passes(theirs, 256 * effort, 100 + i, 6)
+        mean += share * passes(theirs, 16 * effort, 100 + i, 6)
     ours = build(medium(*average, sigma_t=0.9, albedo=0.0), "nonexp_volpath")
-    assert_same(passes(ours, 2048 * effort, 11, 6), mean, 0.02 / effort**0.5)
+    assert_same(passes(ours, 256 * effort, 11, 6), mean, 0.02 / effort**0.5)
 
 
 # ------------------------------------------------------------------------------- laws that coincide
@@ -580,8 +585,8 @@ def cut(case: Case, cuts: bool, **kw: Any) -> Any:
 @on_few_laws
 def test_invisible_surface_inside_a_medium_changes_nothing(case: Case, effort: int) -> None:
     settings = {"sigma_t": 1.5 * unit(law(case)), "albedo": 0.8}
-    whole = passes(scene(**cut(case, False, **settings)), 512 * effort, 14, 3)
-    parts = passes(scene(**cut(case, True, **settings)), 512 * effort, 15, 3)
+    whole = passes(scene(**cut(case, False, **settings)), 64 * effort, 14, 3)
+    parts = passes(scene(**cut(case, True, **settings)), 64 * effort, 15, 3)
     assert_same(whole, parts, 0.06 / effort**0.5)
 
 

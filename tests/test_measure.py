@@ -13,9 +13,9 @@ from tiers import THOROUGH
 @THOROUGH
 @pytest.mark.parametrize("case", ["null", "dielectric"])
 def test_volpath_agrees_with_itself(case: str, effort: int) -> None:
-    """Calibration, on the heaviest tails: 64 passes of 256 paths a block, glass, small lamp."""
+    """Calibration, on the heaviest tails: 64 passes of 128 paths a block, glass, small lamp."""
     built = scene("volpath", **lobe(stock, case, "area"))
-    runs = [passes(built, 256 * effort, seed, GRID) for seed in range(8)]
+    runs = [passes(built, 128 * effort, seed, GRID) for seed in range(8)]
     for a, b in zip(runs[::2], runs[1::2], strict=True):
         assert_same(a, b, within=0.15)
 

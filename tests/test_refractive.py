@@ -247,6 +247,7 @@ def find(g: Any, x: Any, line: Any) -> tuple[Any, Any]:
     """Searches from points, shape (n, 3)."""
     x = mi.Point3f(np.asarray(x).T)
     separated, crossing = g.find(x, line, interaction(x), mi.Bool(True) & (x.x == x.x))
+    dr.eval(separated, crossing)  # by one kernel
     return np.array(separated), crossing
 
 
@@ -415,17 +416,19 @@ def test_connections_estimate_what_rays_find(kind: str, light: str, effort: int)
     scores = []
     for seed, where in enumerate(POINTS):
         s = sampler(seed, count)
-        x = dr.zeros(mi.Point3f, count) + mi.Point3f(where)
+        x = dr.zeros(mi.Point3f, count) + dr.opaque(mi.Point3f, where)  # one kernel for all
         it = interaction(x)
         rays = cast(built, x, s)
         _, c = g.find(x, rays.line, it, rays.lit)
         same = c.found & (dr.norm(c.line.p - rays.p) < 1e-3 * c.line.distance)
-        by_chance = np.array(dr.select(same, rays.light, 0), dtype=np.float64)
+        chance = dr.select(same, rays.light, 0)
         ds, value = built.sample_emitter_direction(it, s.next_2d(), False)
         distance = mi.Float(dr.inf) if light == "sky" else ds.dist
         separated, c = g.find(x, refractive.Line(ds.p, ds.d, distance), it, ds.pdf > 0)
         value = value[0] * c.transmitted[0] / c.density(ds)
-        connected = np.array(dr.select(separated & c.found, value, 0), dtype=np.float64)
+        value = dr.select(separated & c.found, value, 0)
+        dr.eval(chance, value, rays.light)  # by one kernel
+        by_chance, connected = (np.array(v, dtype=np.float64) for v in (chance, value))
         assert np.all(np.isfinite(connected))
         error = np.hypot(np.std(by_chance), np.std(connected)) / np.sqrt(count)
         assert error < 0.02 * np.mean(by_chance) / effort**0.5

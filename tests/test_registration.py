@@ -13,6 +13,8 @@ from build import FURNACE, ball, medium, perspective, scene
 
 from nonexp import plugins
 
+pytestmark = pytest.mark.usefixtures("several_threads")
+
 ROOT = Path(__file__).resolve().parent.parent
 UNSUPPORTED = [v for v in mi.variants() if not plugins.supported(v) and "cuda" not in v]
 

@@ -21,6 +21,8 @@ from nonexp import rendering
 from nonexp.images import tone_map
 from nonexp.rendering import passes
 
+pytestmark = pytest.mark.usefixtures("several_threads")
+
 
 def scene(
     width: int = 16, height: int = 12, spp: int = 4, rfilter: str = "box", **film: Any

@@ -26,7 +26,7 @@ from nonexp.scene import (
 )
 from nonexp.scene.messages import SceneError
 
-pytestmark = pytest.mark.thorough
+pytestmark = [pytest.mark.thorough, pytest.mark.usefixtures("several_threads")]
 
 SCENES = Path(__file__).resolve().parent.parent / "scenes"
 

@@ -15,6 +15,8 @@ import nonexp
 from nonexp.images.moments import Array, Moments, Noise
 from nonexp.rendering.targets import Progress, Run, Targets, is_checked
 
+pytestmark = pytest.mark.usefixtures("several_threads")
+
 # --------------------------------------------------------------------- moments
 
 
