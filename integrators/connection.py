@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 
 from . import tracking
+from .adjoint import Adjoint
 from .glass import Crossing, Line, Refraction
 from .jit import Numbering
 from .media import Media, medium_interaction, optical_depth
@@ -53,6 +55,10 @@ class _Ray:
     """how far the ray is moved on, since it hardly got away from the last surfaces"""
     active: Any
     """neither blocked nor arrived"""
+    column: Any
+    """integral of the density since it entered that medium (with derivatives)"""
+    tangent: Any
+    """derivatives so far (with these, in forward mode)"""
 
 
 @dataclass
@@ -103,6 +109,14 @@ class Link:
     """it goes through glass (None: none does)"""
     crossing: Crossing | None = None
     """and where it leaves it"""
+    ds: Any = None
+    """the emitter's place as it was sampled (None: nobody differentiates)"""
+    scene: Any = None
+
+    def emitter_light(self, vertex: Any, active: Any) -> Any:
+        """Radiance of the emitter over the density, for derivatives."""
+        value = self.scene.eval_emitter_direction(vertex, self.ds, active)
+        return dr.select(active, value / self.ds.pdf, 0)
 
     def weight(self, ray_pdf: Any) -> Any:
         """Share of the connection that counts, if a ray takes its direction with this density."""
@@ -126,6 +140,8 @@ class Connections:
     ball: NullBall | None
     silent: Numbering | None
     """BSDFs that let light straight through without telling how much"""
+    adjoint: Adjoint | None = None
+    """what collects derivatives, while paths are replayed"""
 
     def hit(
         self,
@@ -167,7 +183,8 @@ class Connections:
         line, sampled = self._line(ds), ds.pdf != 0
         weight = hit.weight if hit else None
         if not self.glass:
-            return Link(light, ds.d, ds.pdf, delta, active & sampled, line), weight
+            link = Link(light, ds.d, ds.pdf, delta, active & sampled, line)
+            return self._kept(link, ds), weight
 
         # One search serves both: a ray that hit an emitter, and a new connection to one.
         x, end, searching = mi.Point3f(vertex.p), line, in_glass & sampled
@@ -192,19 +209,29 @@ class Connections:
             bends=bends,
             crossing=crossing,
         )
-        return link, weight
+        return self._kept(link, ds), weight
 
-    def arriving(self, link: Link, start: Start, sampler: mi.Sampler, active: Any) -> Any:
-        """Light that arrives at ``start`` along its connection, over the density of that."""
+    def _kept(self, link: Link, ds: mi.DirectionSample3f) -> Link:
+        if self.adjoint:
+            link.ds, link.scene = ds, self.scene
+        return link
+
+    def arriving(
+        self, link: Link, start: Start, sampler: mi.Sampler, active: Any, shares: Any = None
+    ) -> Any:
+        """Light that arrives at ``start`` along its connection, over the density of that.
+
+        ``shares``, a list, gets what counts the derivatives of transmittance.
+        """
         active = active & link.active
         media = None if self.media and self.media.all("sealed") else self.media
         if not link.crossing:
-            return link.light * self._share(media, start, link.line, sampler, active)
+            return link.light * self._share(media, start, link.line, sampler, active, shares)
 
         # To the surface of the glass, and on behind it as any other connection.
         vertex, bends = start.vertex, link.bends
         si, inner = link.crossing.si, link.crossing.line
-        within = self._share(self.media, start, inner, sampler, active & bends)
+        within = self._share(self.media, start, inner, sampler, active & bends, shares)
         surface = mi.Interaction3f(
             0,
             vertex.time,
@@ -220,7 +247,7 @@ class Connections:
 
         active &= ~bends | dr.any(within != 0)
         exit = Start(surface, behind, start.from_particle & ~bends)
-        share = self._share(media, exit, link.line, sampler, active)
+        share = self._share(media, exit, link.line, sampler, active, shares)
         return mi.Spectrum(link.light * dr.select(bends, within * share, share))
 
     def reflected(
@@ -269,13 +296,23 @@ class Connections:
         return dr.select(self.silent.of(si.bsdf()) != 0, 0, share) if self.silent else share
 
     def _share(
-        self, media: Media | None, start: Start, line: Line, sampler: mi.Sampler, active: Any
+        self,
+        media: Media | None,
+        start: Start,
+        line: Line,
+        sampler: mi.Sampler,
+        active: Any,
+        shares: Any,
     ) -> Any:
         """Share of light that arrives at ``start`` along a line: 0 if that is blocked."""
         vertex, d = start.vertex, line.d
         ray = self.offset.segment(vertex, line.p)
         if self.needs.null_surfaces and not self.ball:
-            return dr.select(active, self._walk(media, start, line, ray, sampler, active), 0)
+            again = sampler.clone() if self.adjoint else None
+            passed, _ = self._walk(media, start, line, ray, sampler, active)
+            if self.adjoint and media:
+                shares.append(partial(self._count, media, start, line, ray, again, active))
+            return dr.select(active, passed, 0)
         share = mi.Spectrum(1)
         if media:
             location, distance = start.location(d), line.distance
@@ -287,6 +324,11 @@ class Connections:
                     "column", location, vertex.p, d, distance, sigma_t,
                     active=active & media.inside(location),
                 )  # fmt: skip
+            if self.adjoint:
+                # A ray past a ball may begin outside of its medium.
+                where = mi.Bool(True) if self.ball else location
+                counted = where, start.from_particle, distance, active & media.inside(where)
+                shares.append(partial(self._count_one, media, d, vertex, counted))
             tau = optical_depth(sigma_t, distance)
             survival = media.ask("survival", location, start.from_particle, tau)
             if media.tracks:
@@ -302,6 +344,30 @@ class Connections:
         blocked = (self.ball or self.tracer).occluded(ray, active)
         return dr.select(active & ~blocked, share, 0)
 
+    def _count_one(
+        self, media: Media, d: Any, vertex: Any, counted: tuple[Any, ...], tangent: Any, weight: Any
+    ) -> Any:
+        """Count the derivative of a transmittance through one medium."""
+        assert self.adjoint
+        visit = self.adjoint.share(media, medium_interaction(d, vertex), weight)
+        return visit(tangent, *counted)
+
+    def _count(
+        self,
+        media: Media,
+        start: Start,
+        line: Line,
+        ray: mi.Ray3f,
+        sampler: mi.Sampler,
+        active: Any,
+        tangent: Any,
+        weight: Any,
+    ) -> Any:
+        """Count those of a transmittance past surfaces, on the same way once more."""
+        assert self.adjoint
+        visit = self.adjoint.share(media, medium_interaction(line.d, start.vertex), weight)
+        return self._walk(media, start, line, ray, sampler, active, visit, tangent)[1]
+
     def _walk(
         self,
         media: Media | None,
@@ -310,7 +376,9 @@ class Connections:
         ray: mi.Ray3f,
         sampler: mi.Sampler,
         active: Any,
-    ) -> Any:
+        visit: Any = None,
+        tangent: Any = None,
+    ) -> tuple[Any, Any]:
         """Transmittance along ``ray`` to the end of a line, past any number of surfaces that let
         light straight through.
 
@@ -318,6 +386,9 @@ class Connections:
         where the ray leaves that medium. A ray that runs along a surface, or begins on the one that
         its target lies on, is moved on by steps that double, and ends at the latest behind its
         target: the number of steps is bounded by the distance over the offset of rays.
+
+        ``visit`` counts derivatives, for each medium where the ray leaves it: the second result is
+        ``tangent`` and those.
         """
         vertex, d = start.vertex, line.d
 
@@ -342,6 +413,8 @@ class Connections:
                     column = media.ask(
                         "column", s.location, s.start, d, length, sigma_t, active=inside
                     )
+                if visit:
+                    s.column = dr.select(inside, s.column + column, s.column)
                 tau = optical_depth(sigma_t, column)
                 s.tau = type(s.tau)(dr.select(inside, s.tau + tau, s.tau))
                 if media.tracks:
@@ -356,6 +429,11 @@ class Connections:
                 s.transmittance = dr.select(
                     left & inside, s.transmittance * survival, s.transmittance
                 )
+                if visit:
+                    s.tangent = visit(
+                        s.tangent, s.location, s.from_particle, s.column, left & inside
+                    )
+                    s.column = dr.select(left, 0, s.column)
                 s.tau = type(s.tau)(dr.select(left, 0, s.tau))
                 s.from_particle &= ~left
                 if media.thins:
@@ -388,16 +466,21 @@ class Connections:
             left=dr.dot(line.p - vertex.p, d),
             nudge=mi.Float(0),
             active=mi.Bool(active),
+            column=mi.Float(0) if visit else None,
+            tangent=tangent,
         )
         _, end = dr.while_loop(
             (sampler, state), lambda sampler, s: s.active, body, label="nonexp: shadow ray"
         )
         if not media:
-            return end.transmittance
+            return end.transmittance, None
+        within = media.inside(end.location)
         survival = media.ask("survival", end.location, end.from_particle, end.tau)
-        return dr.select(
-            media.inside(end.location), end.transmittance * survival, end.transmittance
-        )
+        passed = dr.select(within, end.transmittance * survival, end.transmittance)
+        if visit:
+            there = active & within
+            tangent = visit(end.tangent, end.location, end.from_particle, end.column, there)
+        return passed, tangent
 
 
 def power_heuristic(a: Any, b: Any) -> Any:

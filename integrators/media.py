@@ -338,8 +338,8 @@ class TrackedGrid(Tracked):
         return dr.maximum(majorant - sigma_t, 0), sigma_t
 
 
-def entry_of(pointer: Any, sealed: bool) -> Entry | None:
-    """The entry of a medium; None where nothing ever collides."""
+def entry_of(pointer: Any, sealed: bool, regular: bool = False) -> Entry | None:
+    """The entry of a medium; None where nothing ever collides. ``regular``: grids are walked."""
     model = getattr(pointer, "model", None)
     if model is not None:
         if isinstance(model.sigma_bar, float) and model.sigma_bar == 0:
@@ -358,7 +358,7 @@ def entry_of(pointer: Any, sealed: bool) -> Entry | None:
             mi.has_flag(pointer.phase_function().flags(), mi.PhaseFunctionFlags.Microflake)
         )
         chromatic = not grey(np.array(dr.detach(_majorant_of(pointer, visible()))))
-        extinction = partial(_stock_extinction, pointer, chromatic)
+        extinction = stock_extinction(pointer, chromatic)
     constant = not oriented and not (chromatic and mi.is_spectral)
     if constant:
         value = extinction(somewhere())
@@ -369,7 +369,7 @@ def entry_of(pointer: Any, sealed: bool) -> Entry | None:
     common = pointer, model, extinction, albedo, sealed, chromatic, constant, emission
     if density is None:
         return Homogeneous(*common)
-    if not pointer.tracked:
+    if regular or not pointer.tracked:
         return Walked(*common, density, pointer.reach)
     unit = partial(_always, mi.Float(1))
     return TrackedGrid(
@@ -428,6 +428,11 @@ def _stock_extinction(medium: Any, chromatic: bool, mei: Any) -> Any:
     return sigma_t if chromatic else sigma_t[0]
 
 
+def stock_extinction(medium: Any, chromatic: bool) -> Callable[[Any], Any]:
+    """Extinction of a medium of Mitsuba's own at an interaction."""
+    return partial(_stock_extinction, medium, chromatic)
+
+
 def _stock_albedo(medium: Any, mei: Any, active: Any = True) -> Any:
     sigma_s, _, sigma_t = medium.get_scattering_coefficients(mei, active)
     return mi.UnpolarizedSpectrum(dr.select(sigma_t > 0, sigma_s / sigma_t, 0))
@@ -437,14 +442,14 @@ def _stock_albedo(medium: Any, mei: Any, active: Any = True) -> Any:
 
 
 def scene_media(
-    pointers: Sequence[Any], sealed: Sequence[Any], everywhere: bool = False
+    pointers: Sequence[Any], sealed: Sequence[Any], everywhere: bool = False, regular: bool = False
 ) -> Media | None:
     """Those of some media in which anything can collide; None if there is none.
 
     No straight line from the ``sealed`` ones reaches an emitter. ``everywhere``: the only one is
-    bounded by its grid alone.
+    bounded by its grid alone. ``regular``: grids are walked.
     """
-    found = (entry_of(pointer, sealed=pointer in sealed) for pointer in pointers)
+    found = (entry_of(pointer, pointer in sealed, regular) for pointer in pointers)
     entries = [entry for entry in found if entry is not None]
     if not entries:
         return None

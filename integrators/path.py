@@ -14,6 +14,7 @@ import drjit as dr
 import mitsuba as mi
 
 from . import tracking
+from .adjoint import Adjoint, Record
 from .connection import BentRay, Connections, Hit, Link, Start
 from .media import Media, medium_interaction, optical_depth
 from .rays import Contact
@@ -95,6 +96,8 @@ class Path:
     """null surfaces passed since then (with null surfaces)"""
     flight: Flight | None
     glass: Glass | None
+    tangent: Any
+    """derivative of the radiance (while paths are replayed in forward mode)"""
 
 
 @dataclass
@@ -147,6 +150,7 @@ class Emission:
     radiance: Any
     hit: Hit | None
     """as connections see it"""
+    emitter: Any
 
 
 @dataclass
@@ -180,6 +184,13 @@ class Events:
     """channel that draws all flights (chromatic extinction)"""
     time: Any
     wavelengths: Any
+    adjoint: Adjoint | None = None
+    """what collects derivatives, while paths are replayed"""
+
+    @property
+    def keeps(self) -> bool:
+        """Paths keep the whole of a flight, past null surfaces."""
+        return self.chromatic or self.adjoint is not None
 
     @property
     def media(self) -> Media | None:
@@ -210,8 +221,8 @@ class Events:
                 offset=mi.Vector3f(0),
                 fresh=mi.Bool(True) if null else None,
                 tau=mi.Float(0) if null else None,
-                drawn=mi.Float(0) if null and chromatic else None,
-                flown=mi.Float(0) if null and chromatic else None,
+                drawn=mi.Float(0) if null and self.keeps else None,
+                flown=mi.Float(0) if null and self.keeps else None,
                 balance=mi.UnpolarizedSpectrum(1) if chromatic else None,
             )
         if self.bent_hits:
@@ -233,11 +244,15 @@ class Events:
             passes=mi.UInt32(0) if null else None,
             flight=flight,
             glass=glass,
+            tangent=self.adjoint.start() if self.adjoint else None,
         )
 
     def event(self, sampler: mi.Sampler, s: Path) -> tuple[mi.Sampler, Path]:
         """The body of the loop."""
+        record = Record(s.radiance) if self.adjoint else None
         a = self.fly(sampler, s)
+        if record and s.flight:
+            record.flight = self._flown(s, s.flight, a)
         emission = self.emission(s, a)
         a.on_surface &= a.si.is_valid()
         n = dr.select(a.collided, 0, a.si.n) if self.media else a.si.n
@@ -250,16 +265,27 @@ class Events:
             link, weight = self.nee.aim(vertex, sampler, connecting, in_glass, hit)
         if emission:
             emitted = emission.radiance if weight is None else emission.radiance * weight
+            if record:
+                factor = a.carried if weight is None else a.carried * weight
+                record.emission = factor, emission.emitter, a.si, emission.lit
             s.radiance = dr.select(emission.lit, dr.fma(a.carried, emitted, s.radiance), s.radiance)
         if self.media and s.flight and self.media.any("emits"):
             mei = medium_interaction(s.d, a.ray, a.p)
             light = self.media.ask("emitted", s.flight.location, mei, active=a.collided)
             s.radiance = dr.select(a.collided, dr.fma(a.carried, light, s.radiance), s.radiance)
-        scattering = self.scatter(sampler, s, a, link.wo if link else mi.Vector3f(0, 0, 1))
+            if record:
+                record.glow = a.carried, s.flight.location, mei, a.collided
+        wo = link.wo if link else mi.Vector3f(0, 0, 1)
+        scattering = self.scatter(sampler, s, a, wo, record)
         if link:
-            light = self.arriving(sampler, s, a, vertex, link, scattering)
+            light = self.arriving(sampler, s, a, vertex, link, scattering, record)
             s.radiance = dr.select(link.active, s.radiance + light, s.radiance)
+        collected, carried = s.radiance, a.carried
         self.advance(sampler, s, a, vertex, scattering, in_glass)
+        if self.adjoint and record:
+            if self.null and s.flight:
+                record.done = s.flight.fresh | ~s.active
+            s.tangent = self.adjoint.after(self.media, s.tangent, record, collected, carried)
         return sampler, s
 
     # ------------------------------------------------------------- flight to the next event
@@ -280,7 +306,7 @@ class Events:
         sigma_t = at_channel(extinction, self.hero) if self.chromatic else extinction
         tau = drawn = media.flight(location, flight.from_particle, sampler, inside)
         if self.null:
-            drawn = dr.select(flight.fresh, tau, flight.drawn) if self.chromatic else None
+            drawn = dr.select(flight.fresh, tau, flight.drawn) if self.keeps else None
             tau = dr.select(flight.fresh, tau, flight.tau)
         gap = dr.dot(flight.offset, s.d)
         travelled = tau / sigma_t  # from the last event, not from the ray's origin
@@ -313,8 +339,9 @@ class Events:
         a.inside, a.sigma_t, a.tau, a.column, a.drawn, a.tracked = (
             inside, sigma_t, tau, column, drawn, tracked,
         )  # fmt: skip
-        if self.chromatic:
+        if self.keeps:
             a.reached = column + flight.flown if self.null else column
+        if self.chromatic:
             relative = extinction / dr.select(sigma_t > 0, sigma_t, 1)
             depths = dr.select(collided, relative * drawn, optical_depth(extinction, a.reached))
             densities = media.ask(
@@ -325,6 +352,13 @@ class Events:
             a.balance = dr.select(inside, balanced(flight.balance, densities), flight.balance)
             a.carried = s.throughput * a.balance
         return a
+
+    def _flown(self, s: Path, flight: Flight, a: Arrival) -> tuple[Any, ...]:
+        """What the flight that ends here depends on."""
+        sigma_t = dr.select(a.sigma_t > 0, a.sigma_t, 1)
+        column = dr.select(a.collided, a.drawn / sigma_t, a.reached)
+        mei = medium_interaction(s.d, a.ray)
+        return flight.location, flight.from_particle, a.collided, column, mei, a.inside
 
     def _intersect(self, ray: Any, first: Any, active: Any) -> tuple[Any, Contact | None]:
         """The surface that a ray hits; behind the emitters, if these are hidden."""
@@ -357,7 +391,7 @@ class Events:
             origin = s.vertex if self.null else s.o
             bent = BentRay(s.glass.anchor, origin, lit & s.glass.crossed) if s.glass else None
             hit = self.nee.hit(a.si, origin, s.pdf, s.certain, bent, lit)
-        return Emission(lit, radiance, hit)
+        return Emission(lit, radiance, hit, emitter)
 
     # ------------------------------------------------------------- connection to an emitter
 
@@ -391,6 +425,7 @@ class Events:
         vertex: Any,
         link: Link,
         scattering: Scattering,
+        record: Record | None,
     ) -> Any:
         """What a connection contributes."""
         location = s.flight.location if s.flight else None
@@ -400,12 +435,20 @@ class Events:
             leaving = partial(_stay, location)
         start = Start(vertex, leaving, a.collided)
         useful = dr.any(scattering.value != 0)
-        light = self.nee.arriving(link, start, sampler, useful)
-        return a.carried * scattering.value * light * link.weight(scattering.value_pdf)
+        shares = record.shares if record else None
+        light = self.nee.arriving(link, start, sampler, useful, shares)
+        share = link.weight(scattering.value_pdf)
+        contribution = a.carried * scattering.value * light * share
+        if record:
+            factor, value = a.carried * light * share, scattering.value
+            record.link = contribution, factor, value, link, vertex, link.active
+        return contribution
 
     # ------------------------------------------------------------- scattering
 
-    def scatter(self, sampler: mi.Sampler, s: Path, a: Arrival, wo: Any) -> Scattering:
+    def scatter(
+        self, sampler: mi.Sampler, s: Path, a: Arrival, wo: Any, record: Record | None
+    ) -> Scattering:
         """Evaluate the BSDF or the phase function towards ``wo``, and sample it."""
         si, on_surface, collided = a.si, a.on_surface, a.collided
         u1, u2 = sampler.next_1d(), sampler.next_2d()
@@ -415,10 +458,14 @@ class Events:
         d, pdf = si.to_world(bs.wo), bs.pdf
         passed = on_surface & mi.has_flag(bs.sampled_type, mi.BSDFFlags.Null)
         certain = mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta)
+        if record:
+            record.surface = a.bsdf, si, si.to_local(wo), bs.wo, on_surface
         if self.media and s.flight:
             location = s.flight.location
             mei = medium_interaction(s.d, a.ray, a.p)
             m = self.media.ask("scatter", location, mei, wo, u1, u2, active=collided & ~a.last)
+            if record:
+                record.phase = location, mei, wo, m.wo, collided & ~a.last
             value = dr.select(collided, m.albedo * m.value, value)
             value_pdf = dr.select(collided, m.pdf, value_pdf)
             weight = dr.select(collided, m.albedo * m.weight, weight)
@@ -521,12 +568,12 @@ class Events:
         if self.chromatic:
             balance = a.balance
             if self.null:
-                flight.drawn, flight.flown = a.drawn, dr.select(fresh, 0, a.reached)
                 # Tracked flights have no memory: each stretch counts by itself.
                 done = fresh | a.tracked if media.tracks else fresh
                 balance = dr.select(done, balance, flight.balance)
             flight.balance = mi.UnpolarizedSpectrum(balance)
-        if self.null and self.chromatic:
+        if self.null and self.keeps:
+            flight.drawn, flight.flown = a.drawn, dr.select(fresh, 0, a.reached)
             flight.from_particle = dr.select(fresh, a.collided, flight.from_particle)
         else:
             flight.from_particle = a.collided

@@ -12,13 +12,15 @@ import mitsuba as mi
 
 from nonexp.plugins.values import choice
 
+from .adjoint import Adjoint
 from .connection import Connections
 from .glass import refraction
 from .jit import Numbering, recording
 from .media import scene_media
 from .needs import SceneNeeds, forgotten_media
-from .path import Events
+from .path import Events, Path
 from .rays import Contacts, NullBall, Offset, Subscenes, Tracer
+from .replay import replay
 from .spectral import draw_channel
 
 
@@ -64,9 +66,24 @@ class NonexpVolpath(mi.SamplingIntegrator):
         medium: Any = None,
         active: Any = True,
     ) -> tuple[mi.Spectrum, mi.Bool, list[mi.Float]]:
+        path = self.trace(scene, sampler, ray, medium, active)
+        return path.radiance, path.opaque, []
+
+    def trace(
+        self,
+        scene: mi.Scene,
+        sampler: mi.Sampler,
+        ray: mi.Ray3f,
+        medium: Any,
+        active: Any,
+        adjoint: Adjoint | None = None,
+        regular: bool = False,
+    ) -> Path:
+        """The ends of paths that begin as rays. An ``adjoint`` collects derivatives, on the same
+        paths as those without it; all of these must walk through grids (``regular``)."""
         self._warn(scene, medium)
         needs = SceneNeeds.of(scene, medium, self.refractive_nee, self.hide_emitters)
-        media = scene_media(needs.media, needs.sealed, needs.shell is not None)
+        media = scene_media(needs.media, needs.sealed, needs.shell is not None, regular)
         hero = draw_channel(sampler.next_1d()) if media and media.chromatic else None
         glass = refraction(needs.lobes, self._subscenes)
         ends = needs.smooth_surfaces or glass or (media and media.connects)
@@ -81,17 +98,43 @@ class NonexpVolpath(mi.SamplingIntegrator):
         tracks = media and media.tracks
         ball = NullBall.of(needs.null_ball, tracer) if connects and not tracks else None
         silent = Numbering([mi.BSDFPtr(bsdf) for bsdf in needs.silent]) if needs.silent else None
-        nee = Connections(scene, tracer, needs, media, offset, glass, ball, silent)
-        events = Events(self, nee, connects, hero, ray.time, ray.wavelengths)
-        _, path = dr.while_loop(
-            (sampler, events.begin(ray, medium, active)),
-            lambda sampler, s: s.active,
-            events.event,
-            label="nonexp: path",
-        )
+        if adjoint:
+            adjoint.begin(media)
+        nee = Connections(scene, tracer, needs, media, offset, glass, ball, silent, adjoint)
+        events = Events(self, nee, connects, hero, ray.time, ray.wavelengths, adjoint)
+        backward = adjoint is not None and adjoint.mode == dr.ADMode.Backward
+        with dr.isolate_grad(when=backward):
+            _, path = dr.while_loop(
+                (sampler, events.begin(ray, medium, active)),
+                lambda sampler, s: s.active,
+                events.event,
+                label="nonexp: path",
+            )
+        if adjoint and backward:
+            adjoint.leaves.pass_on()
         # Where reverse mode fails on a loop of which results are gone, Dr.Jit 1.5 crashes at exit.
         self._results = path if dr.grad_enabled(path) else None
-        return path.radiance, path.opaque, []
+        return path
+
+    def render_forward(
+        self, scene: mi.Scene, params: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0
+    ) -> mi.TensorXf:
+        """The derivative of an image, for the tangents of scene parameters: what ``mi.render``
+        calls. Raises ``ValueError`` for parameters by which there is none."""
+        return replay(self, scene, sensor).render_forward(scene, params, sensor, seed, spp)
+
+    def render_backward(
+        self,
+        scene: mi.Scene,
+        params: Any,
+        grad_in: mi.TensorXf,
+        sensor: Any = 0,
+        seed: Any = 0,
+        spp: int = 0,
+    ) -> None:
+        """The derivatives by scene parameters of what depends on an image: what ``mi.render``
+        calls. Raises ``ValueError`` for parameters by which there is none."""
+        replay(self, scene, sensor).render_backward(scene, params, grad_in, sensor, seed, spp)
 
     def _warn(self, scene: mi.Scene, medium: Any) -> None:
         """Once, of cameras that do not say that they stand in a medium."""

@@ -52,6 +52,10 @@ class DavisWeinstein(Transmittance):
         at = _At(1.0, self)
         return with_derivative(at.sigma_bar, (self.c, lambda _: at.sigma_bar * at.log_sigma_bar_c))
 
+    @property
+    def smooth(self) -> bool:
+        return True
+
     def ff(self, tau: Any) -> Any:
         at = _At(tau, self)
         return with_derivative(

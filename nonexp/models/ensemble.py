@@ -62,6 +62,10 @@ class Ensemble(Transmittance):
     def extinctions(self) -> tuple[Any, Any]:
         return self._nodes
 
+    @property
+    def smooth(self) -> bool:
+        return True
+
     def ff(self, tau: Any) -> Any:
         rest = self._transform(0, tau)
         return with_derivative(rest + self._clear * (1 - rest), (tau, lambda t: -self.fp(t)))

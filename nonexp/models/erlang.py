@@ -35,6 +35,10 @@ class Erlang(Transmittance):
     def sigma_bar(self) -> Any:
         return self.rate / self.k
 
+    @property
+    def smooth(self) -> bool:
+        return True
+
     def ff(self, tau: Any) -> Any:
         weights = [(self.k - i) / self.k for i in range(self.k)]
         return with_derivative(

@@ -24,6 +24,10 @@ class Exponential(Transmittance):
     def extinctions(self) -> tuple[Any, Any]:
         return (1.0,), (1.0,)
 
+    @property
+    def smooth(self) -> bool:
+        return True
+
     def ff(self, tau: Any) -> Any:
         return dr.exp(-tau)
 

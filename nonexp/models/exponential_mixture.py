@@ -92,6 +92,10 @@ class ExponentialMixture(Transmittance):
         weight = [number(w) for w in self.weight]
         return [number(s) for s in self.sigma], [w / sum(weight) for w in weight]
 
+    @property
+    def smooth(self) -> bool:
+        return True
+
     def ff(self, tau: Any) -> Any:
         return self._mean(self.weight, tau) / sum(self.weight)
 

@@ -38,6 +38,10 @@ class Gamma(Transmittance):
         alpha = number(self.alpha)
         return nodes_of_law("Gamma", "gamma", (alpha, 0.0, 1 / alpha))
 
+    @property
+    def smooth(self) -> bool:
+        return True
+
     def ff(self, tau: Any) -> Any:
         return dr.exp(-scaled_log1p(tau, self.alpha))
 

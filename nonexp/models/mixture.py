@@ -76,6 +76,10 @@ class Mixture(Transmittance):
         weights = [s * np.array(w) for s, (_, w) in zip(shares / shares.sum(), found, strict=True)]
         return np.concatenate([s for s, _ in found]), np.concatenate(weights)
 
+    @property
+    def smooth(self) -> bool:
+        return all(model.smooth or number(model.sigma_bar) == 0 for model in self.models)
+
     def ff(self, tau: Any) -> Any:
         return _mean(self.weight, [model.ff(tau) for model in self.models])
 

@@ -7,7 +7,7 @@ import drjit as dr
 
 from ..numerics import expm1, filled, log1p, select
 from ..transmittance import Draw, Transmittance
-from ..transmittance.parameters import parameter
+from ..transmittance.parameters import number, parameter
 
 
 class BoundedPower:
@@ -32,6 +32,10 @@ class BoundedPower:
     @property
     def kinks(self) -> tuple[Any, ...]:
         return (self.b,)
+
+    @property
+    def smooth(self) -> bool:
+        return number(self.n) > 3  # else the variance of derivatives is infinite
 
     def ff(self, tau: Any) -> Any:
         return self._power(tau, self.n)

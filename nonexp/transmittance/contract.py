@@ -126,6 +126,15 @@ class Transmittance(ABC):
         """
         return None
 
+    @property
+    def smooth(self) -> bool:
+        """Whether ``pp`` is continuous, from 0 on, and has no atoms, whatever the parameters.
+
+        Then derivatives of images by extinction and by the parameters are right without more. A law
+        declares it here; where it does not, they are refused.
+        """
+        return False
+
     @abstractmethod
     def ff(self, tau: Any) -> Any:
         """Transmittance ``T(tau)`` between two fixed points."""

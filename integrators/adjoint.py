@@ -1,0 +1,358 @@
+"""Derivatives of a path that is replayed: what each event depends on, and what follows from it.
+
+A replay makes the same random decisions as the path before, whose radiance ``total`` is known. An
+event multiplies what is collected after it by factors that depend on parameters: their logarithmic
+derivatives count times that rest (path replay, Vicini et al. 2021). Sampling is not differentiated.
+For a flight the factor is its density or its transmittance over what it was drawn with: the
+derivative of its logarithm, the *score*, is zero on average. So any constant may be taken from the
+rest: the mean of the pixel's other paths makes derivatives far less noisy.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from nonexp.plugins.spectra import somewhere
+from nonexp.transmittance import Transmittance
+
+from .media import Entry, Media, stock_extinction
+
+
+def log_or_zero(value: Any) -> Any:
+    """Logarithm where a value is positive, else 0; derivatives too."""
+    positive = value > 0
+    return dr.select(positive, dr.log(dr.select(positive, value, 1)), 0)
+
+
+# --------------------------------------------------------------------- what is differentiated by
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """Kinds of parameters by which derivatives are wanted."""
+
+    media: dict[int, frozenset[str]]
+    """of the medium with this ``id()``: ``extinction``, ``law``, ``albedo``, ``phase``,
+    ``emission``"""
+    surfaces: bool
+    """of some BSDF"""
+    emitters: bool
+    """of some emitter"""
+
+
+class Twin:
+    """A medium with its derivatives."""
+
+    def __init__(self, entry: Entry, kinds: frozenset[str], leaves: Leaves) -> None:
+        self.entry, self.kinds = entry, kinds
+        pointer = entry.pointer
+        with dr.resume_grad():
+            extinction = getattr(pointer, "extinction", None)
+            self._extinction = extinction or stock_extinction(pointer, entry.chromatic)
+            self._constant = None
+            if entry.constant:
+                self._constant = leaves.of(self._extinction(somewhere()))
+            self._model = leaves.within(entry.model) if "law" in kinds else entry.model
+
+    @property
+    def scores(self) -> bool:
+        """Flights depend on some parameter."""
+        return bool(self.kinds & {"extinction", "law"})
+
+    def _at(self, mei: Any) -> Any:
+        return self._extinction(mei) if self._constant is None else self._constant
+
+    def flight(self, from_particle: Any, collided: Any, column: Any, mei: Any) -> Any:
+        """Logarithm of a flight's density, or of its transmittance, for each channel."""
+        model = self._model
+
+        def of(extinction: Any) -> Any:
+            tau = extinction * column
+            density = dr.select(from_particle, model.pp(tau), model.fp(tau))
+            survival = dr.select(from_particle, model.pf(tau), model.ff(tau))
+            logs = log_or_zero(extinction) + log_or_zero(density), log_or_zero(survival)
+            return dr.select(collided, *logs)
+
+        extinction = self._at(mei)
+        if dr.depth_v(extinction) == 1:
+            return mi.UnpolarizedSpectrum(of(extinction))
+        return mi.UnpolarizedSpectrum([of(channel) for channel in extinction])
+
+    def survival(self, from_particle: Any, column: Any, mei: Any) -> Any:
+        """Logarithm of the transmittance over a column, for each channel."""
+        return self.flight(from_particle, mi.Bool(False), column, mei)
+
+
+class Leaves:
+    """Stand-ins, by which the loop is differentiated, for values that depend on parameters.
+
+    Derivatives inside of a loop end there. Their tangents go in before it in forward mode, and
+    what they collect is passed on after it in backward mode.
+    """
+
+    def __init__(self, mode: dr.ADMode) -> None:
+        self._mode = mode
+        self._pairs: list[tuple[Any, Any]] = []
+
+    def of(self, value: Any) -> Any:
+        """The stand-in of an array, which is itself where nothing depends on parameters."""
+        if not dr.grad_enabled(value):
+            return value
+        leaf = type(value)(dr.detach(value))
+        dr.make_opaque(leaf)
+        dr.enable_grad(leaf)
+        if self._mode == dr.ADMode.Forward:
+            tangent = dr.forward_to(value, flags=dr.ADFlag.ClearInterior)
+            dr.set_grad(leaf, dr.detach(tangent))
+        self._pairs.append((value, leaf))
+        return leaf
+
+    def within(self, thing: Any) -> Any:
+        """A copy of a law in which all arrays are stand-ins."""
+        if dr.is_array_v(thing):
+            return self.of(thing)
+        if isinstance(thing, tuple | list):
+            return type(thing)(self.within(item) for item in thing)
+        if isinstance(thing, Transmittance):
+            twin = copy.copy(thing)
+            for name, value in vars(thing).items():
+                object.__setattr__(twin, name, self.within(value))
+            return twin
+        return thing
+
+    def pass_on(self) -> None:
+        """Backward, what the stand-ins have collected."""
+        with dr.resume_grad():
+            for value, leaf in self._pairs:
+                gradient = dr.grad(leaf)
+                dr.eval(gradient)
+                dr.backward_from(value * gradient)
+
+
+# --------------------------------------------------------------------- one event
+
+
+@dataclass
+class Record:
+    """What an event depends on; the parts that it has not are None."""
+
+    before: Any
+    """radiance collected before it"""
+    flight: tuple[Any, ...] | None = None
+    """location, origin, whether it collided, column, medium interaction, mask"""
+    done: Any = None
+    """the flight ends here (None: all do)"""
+    emission: tuple[Any, ...] | None = None
+    """factor, emitter, surface, mask"""
+    glow: tuple[Any, ...] | None = None
+    """throughput, location, medium interaction, mask"""
+    phase: tuple[Any, ...] | None = None
+    """location, medium interaction, direction of the connection, new one, mask"""
+    surface: tuple[Any, ...] | None = None
+    """BSDF, surface, direction of the connection, new one, mask"""
+    link: tuple[Any, ...] | None = None
+    """contribution, the factor beside the value, the value, connection, mask"""
+    shares: list[Callable[..., Any]] = field(default_factory=list)
+    """what the transmittance of the connection depends on"""
+
+
+class Adjoint:
+    """Collects the derivatives of replayed paths."""
+
+    def __init__(
+        self,
+        mode: dr.ADMode,
+        total: Any,
+        delta: Any,
+        baseline: Any,
+        wanted: Wanted,
+    ) -> None:
+        self.mode, self.total, self.delta, self.baseline = mode, total, delta, baseline
+        self.wanted, self.leaves = wanted, Leaves(mode)
+        self.twins: list[Twin] = []
+
+    def begin(self, media: Media | None) -> None:
+        """Look at the media of the scene, before its loop."""
+        for entry in media.entries if media else ():
+            kinds = self.wanted.media.get(id(entry.pointer), frozenset())
+            self.twins.append(Twin(entry, kinds, self.leaves))
+
+    def start(self) -> Any:
+        """The derivative that a path has collected; None in backward mode."""
+        return mi.Spectrum(0) if self.mode == dr.ADMode.Forward else None
+
+    @property
+    def scores(self) -> bool:
+        """Some flights depend on parameters."""
+        return any(twin.scores for twin in self.twins)
+
+    def _wants(self, *kinds: str) -> bool:
+        return any(twin.kinds & set(kinds) for twin in self.twins)
+
+    def add(self, tangent: Any, term: Any) -> Any:
+        """Count one attached term."""
+        if not dr.grad_enabled(term):
+            return tangent
+        if self.mode == dr.ADMode.Forward:
+            return tangent + dr.detach(dr.forward_to(term))
+        dr.backward_from(self.delta * term)
+        return tangent
+
+    def _of_media(self, kinds: set[str], media: Media, location: Any, question: Any) -> Any:
+        """``question(twin, mask)`` for the medium at each location, 0 where nothing depends."""
+        result: Any = mi.UnpolarizedSpectrum(0)
+        for number, twin in enumerate(self.twins, 1):
+            if twin.kinds & kinds:
+                here = media.inside(location) if len(self.twins) == 1 else location == number
+                result = dr.select(here, question(twin, here), result)
+        return result
+
+    def share(self, media: Media, mei: Any, weight: Any) -> Callable[..., Any]:
+        """What counts the derivative of a transmittance, ``weight`` times its logarithm's."""
+
+        def visit(tangent: Any, location: Any, from_particle: Any, column: Any, here: Any) -> Any:
+            with dr.resume_grad():
+                column = dr.detach(dr.select(here & dr.isfinite(column), column, 1))
+                logs = self._of_media(
+                    {"extinction", "law"},
+                    media,
+                    location,
+                    lambda twin, _: twin.survival(from_particle, column, mei),
+                )
+                return self.add(tangent, dr.select(here, dr.detach(weight) * logs, 0))
+
+        return visit
+
+    def after(
+        self, media: Media | None, tangent: Any, record: Record, radiance: Any, carried: Any
+    ) -> Any:
+        """Count an event, after which ``radiance`` is collected; ``carried`` is the throughput at
+        its beginning."""
+        rest, later = self.total - record.before, self.total - radiance
+        terms: Any = mi.Spectrum(0)
+        with dr.resume_grad():
+            if media and record.flight and self.scores:
+                location, from_particle, collided, column, mei, inside = record.flight
+                column = dr.detach(dr.select(inside & dr.isfinite(column), column, 1))
+                scores = self._of_media(
+                    {"extinction", "law"},
+                    media,
+                    location,
+                    lambda twin, _: twin.flight(from_particle, collided, column, mei),
+                )
+                done = mi.Bool(True) if record.done is None else record.done
+                scored = dr.select(done, rest, radiance - record.before)
+                if self.baseline is not None:
+                    scored -= dr.select(done, carried * self.baseline, 0)
+                terms += dr.select(inside, dr.detach(scored) * scores, 0)
+            if media and record.glow and self._wants("albedo", "emission"):
+                throughput, location, mei, here = record.glow
+                light = self._of_media(
+                    {"albedo", "emission"},
+                    media,
+                    location,
+                    lambda twin, mask: twin.entry.emitted(mei, here & mask),
+                )
+                terms += dr.select(here, dr.detach(throughput) * light, 0)
+            if record.emission and self.wanted.emitters:
+                factor, emitter, si, lit = record.emission
+                terms += dr.select(lit, dr.detach(factor) * emitter.eval(si, lit), 0)
+            value = None
+            if media and record.phase and self._wants("albedo", "phase"):
+                terms, value = self._phase(media, record, terms, later, carried)
+            if record.surface and self.wanted.surfaces:
+                terms, at_surface, on = self._surface(record, terms, later)
+                value = at_surface if value is None else dr.select(on, at_surface, value)
+            if record.link:
+                terms += self._link(record, value)
+            tangent = self.add(tangent, terms)
+        if record.link and self.scores:
+            contribution = record.link[0]
+            for share in record.shares:
+                tangent = share(tangent, contribution)
+        return tangent
+
+    def _phase(
+        self, media: Media, record: Record, terms: Any, later: Any, carried: Any
+    ) -> tuple[Any, Any]:
+        """Of collisions: by what is collected later, and the value towards the connection."""
+        assert record.phase
+        location, mei, wo, onward, here = record.phase
+        wo, onward = dr.detach(wo), dr.detach(onward)
+        context = mi.PhaseFunctionContext(None)
+
+        def phase(direction: Any) -> Any:
+            return self._of_media(
+                {"albedo", "phase"},
+                media,
+                location,
+                lambda twin, mask: mi.UnpolarizedSpectrum(
+                    twin.entry.pointer.phase_function().eval_pdf(
+                        context, mei, direction, here & mask
+                    )[0]
+                ),
+            )
+
+        albedo = self._of_media(
+            {"albedo", "phase"}, media, location, lambda twin, mask: twin.entry.albedo(mei, mask)
+        )
+        if self._wants("albedo"):
+            terms += dr.select(here, dr.detach(later) * log_or_zero(albedo), 0)
+        if self._wants("phase"):
+            scored = later
+            if self.baseline is not None:
+                scored = later - carried * dr.detach(albedo) * self.baseline
+            terms += dr.select(here, dr.detach(scored) * log_or_zero(phase(onward)), 0)
+        touched = self._of_media(
+            {"albedo", "phase"}, media, location, lambda twin, mask: mi.UnpolarizedSpectrum(1)
+        )
+        assert record.link is None or record.link[2] is not None
+        value = albedo * phase(wo)
+        if record.link:
+            value = dr.select(here & (touched[0] > 0), value, dr.detach(record.link[2]))
+        return terms, value
+
+    def _surface(self, record: Record, terms: Any, later: Any) -> tuple[Any, Any, Any]:
+        """The same of surfaces."""
+        assert record.surface
+        bsdf, si, wo, onward, on = record.surface
+        context = mi.BSDFContext()
+        value = bsdf.eval(context, si, dr.detach(onward), on)
+        terms += dr.select(on, dr.detach(later) * log_or_zero(value), 0)
+        return terms, bsdf.eval(context, si, dr.detach(wo), on), on
+
+    def _link(self, record: Record, value: Any) -> Any:
+        """A connection, but for its transmittance."""
+        assert record.link
+        contribution, factor, _, link, vertex, here = record.link
+        terms: Any = mi.Spectrum(0)
+        if value is not None:
+            terms += dr.select(here, dr.detach(factor) * value, 0)
+        if self.wanted.emitters and link.ds is not None:
+            light = link.emitter_light(vertex, here)
+            known = dr.detach(light) > 0
+            share = dr.select(known, contribution / dr.select(known, dr.detach(light), 1), 0)
+            terms += dr.select(here, dr.detach(share) * light, 0)
+        return terms
+
+
+def leave_one_out(total: Any, count: int) -> Any:
+    """For each path the mean radiance of the other ``count - 1`` paths of its pixel."""
+    dr.eval(total)
+    base = type(total)(0)
+    for k in range(len(total)):
+        sums = dr.block_reduce(dr.ReduceOp.Add, total[k], count)
+        base[k] = (dr.repeat(sums, count) - total[k]) / (count - 1)
+    dr.eval(base)
+    return base
+
+
+def unwanted(values: Sequence[Any]) -> bool:
+    """Whether none of some values has a derivative."""
+    return not any(dr.grad_enabled(value) for value in values)
