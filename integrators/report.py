@@ -137,7 +137,7 @@ def _cameras(scene: mi.Scene) -> Finding:
 
 
 def _null(needs: SceneNeeds, media: Media | None, spheres: list[mi.Shape]) -> Finding:
-    if needs.null_ball in spheres and not (media and media.tracks):
+    if needs.null_ball in spheres and not (media and media.any("varies")):
         answer, effect = "one sphere", "skipped: walks; flights go on behind it"
     elif needs.shell is not None and not needs.null_surfaces:
         answer, effect = f"only {_name(needs.shell)}", "left out: its grid says where the medium is"

@@ -95,8 +95,8 @@ class NonexpVolpath(mi.SamplingIntegrator):
                 together.groups, together.ranks, together.doubled, self._contact_scenes, offset
             )
         tracer = Tracer.of(scene, self._subscenes, contacts, needs.shell)
-        tracks = media and media.tracks
-        ball = NullBall.of(needs.null_ball, tracer) if connects and not tracks else None
+        varies = media and media.any("varies")
+        ball = NullBall.of(needs.null_ball, tracer) if connects and not varies else None
         silent = Numbering([mi.BSDFPtr(bsdf) for bsdf in needs.silent]) if needs.silent else None
         if adjoint:
             adjoint.begin(media)

@@ -376,6 +376,19 @@ def test_other_variants(variant: str) -> None:
     assert_same(got, again, 0.08)
 
 
+def test_a_ball_of_grid_throws_a_shadow() -> None:
+    """Connections from a floor past a ball that cuts the grid's corners off."""
+    inside = varied(np.ones((3, 3, 3)), "gamma", scale=2.0, albedo=0.5, tracking="regular")
+    same = medium("gamma", sigma_t=2.0, albedo=0.5)
+    camera = perspective([0, 2, 4], [0, -1, 0], 60)
+    sun = {"type": "directional", "direction": [0, -1, 0], "irradiance": 3.0}
+    parts = {"sensor": camera, "floor": GROUND, "sun": sun}
+    expected = radiance(scene(ball=ball(same, radius=0.9), **parts), 2**14, 1)
+    got = radiance(scene(ball=ball(inside, radius=0.9), **parts), 2**14, 1)
+    assert np.mean(np.isclose(got, expected, rtol=1e-3, atol=1e-5)) > 0.95
+    assert abs(got.mean() - expected.mean()) < 0.01 * expected.mean()
+
+
 # ---------------------------------------------------------------------- the boundary left out
 
 
