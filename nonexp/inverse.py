@@ -1,0 +1,123 @@
+"""Derivatives of images by scene parameters, for inverse rendering.
+
+``mi.render(scene, params)`` has the derivatives that ``nonexp_volpath`` computes itself, forward
+and backward. :func:`jacobian` collects them for some parameters. :func:`differences` works for
+every parameter and every law, for two renders each.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+__all__ = ["Derivative", "differences", "jacobian"]
+
+
+@dataclass(frozen=True)
+class Derivative:
+    """The derivative of an image by one number among a scene's parameters."""
+
+    name: str
+    """the parameter as ``mi.traverse`` calls it"""
+    value: Any
+    """height x width x channels"""
+    stderr: Any
+    """its standard error, pixel by pixel; NaN from a single run"""
+
+
+def jacobian(
+    scene: mi.Scene,
+    names: str | Sequence[str],
+    *,
+    sensor: int = 0,
+    spp: int = 0,
+    runs: int = 4,
+    seed: int = 0,
+) -> list[Derivative]:
+    """Derivatives of the image by scene parameters, by path replay in forward mode.
+
+    A parameter with several numbers, such as a colour, counts as one: all of them move together.
+    The mean and the standard error are over ``runs`` renders of ``spp`` samples per pixel each
+    (0: the scene's own). Raises ``KeyError`` for names that the scene does not have, and
+    ``ValueError`` for parameters by which there is no derivative.
+    """
+    parameters = mi.traverse(scene)
+
+    def once(name: str, number: int) -> Any:
+        kept = _copy(parameters[name])
+        try:
+            moved = type(kept)(dr.detach(kept))
+            dr.enable_grad(moved)
+            parameters[name] = moved
+            parameters.update()
+            dr.set_grad(moved, dr.ones(type(moved), dr.shape(moved)))
+            image = mi.render(scene, parameters, sensor=sensor, spp=spp, seed=number)
+            return np.array(dr.forward_to(image))
+        finally:
+            parameters[name] = kept
+            parameters.update()
+
+    return [_over(name, parameters, runs, seed, once) for name in _names(names)]
+
+
+def differences(
+    scene: mi.Scene,
+    names: str | Sequence[str],
+    *,
+    step: float = 0.02,
+    sensor: int = 0,
+    spp: int = 0,
+    runs: int = 4,
+    seed: int = 0,
+) -> list[Derivative]:
+    """The same as :func:`jacobian` by central differences of renders with common seeds.
+
+    Parameters move by ``step`` times the largest of their numbers, or by ``step`` itself where all
+    are zero. The result is off by a term of the order of ``step`` squared, and its standard error
+    grows as ``step`` falls. Raises ``KeyError`` for names that the scene does not have.
+    """
+    parameters = mi.traverse(scene)
+
+    def once(name: str, number: int) -> Any:
+        kept = _copy(parameters[name])
+        try:
+            base = type(kept)(dr.detach(kept))
+            size = step * (float(np.abs(np.array(base)).max()) or 1.0)
+            images = []
+            for sign in (1, -1):
+                parameters[name] = base + sign * size
+                parameters.update()
+                images.append(np.array(mi.render(scene, sensor=sensor, spp=spp, seed=number)))
+            return (images[0] - images[1]) / (2 * size)
+        finally:
+            parameters[name] = kept
+            parameters.update()
+
+    return [_over(name, parameters, runs, seed, once) for name in _names(names)]
+
+
+def _copy(value: Any) -> Any:
+    """A parameter as it is now: what ``mi.traverse`` gives changes with the scene."""
+    return type(value)(value)
+
+
+def _names(names: str | Sequence[str]) -> Sequence[str]:
+    return [names] if isinstance(names, str) else names
+
+
+def _over(name: str, parameters: Any, runs: int, seed: int, once: Any) -> Derivative:
+    """Mean and standard error over independent runs."""
+    if name not in parameters:
+        raise KeyError(f"the scene has no parameter {name!r}")
+    if runs < 1:
+        raise ValueError(f"runs is {runs}: it must be at least 1")
+    found = np.array([once(name, seed + number) for number in range(runs)])
+    stderr = np.full_like(found[0], np.nan)
+    if runs > 1:
+        stderr = found.std(axis=0, ddof=1) / np.sqrt(runs)
+    return Derivative(name, found.mean(axis=0), stderr)

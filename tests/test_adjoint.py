@@ -1,0 +1,299 @@
+"""Derivatives of images: exact values, differences of renders, and what is refused."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from build import (
+    FURNACE,
+    LAMP,
+    MODELS,
+    ball,
+    box,
+    law,
+    medium,
+    model_id,
+    orthographic,
+    perspective,
+    scene,
+    square_film,
+    stock,
+)
+from tiers import quick, thorough
+
+from nonexp import inverse
+from nonexp.integrators.replay import replay
+
+LONG = {"type": "nonexp_volpath", "rr_depth": 1000}
+SIGMA, ALBEDO = (
+    "ball.interior_medium.sigma_t.value.value",
+    "ball.interior_medium.albedo.value.value",
+)
+SIGMAS = 5.0
+"""Standard errors that a comparison may be off: of a hundred, one in 2e4 fails by chance."""
+
+
+def attached(parameters: Any, *names: str) -> list[Any]:
+    """Scene parameters with gradients."""
+    for name in names:
+        value = type(parameters[name])(dr.detach(parameters[name]))
+        dr.enable_grad(value)
+        parameters[name] = value
+    parameters.update()
+    return [parameters[name] for name in names]
+
+
+def means(made: Any, names: list[str], spp: int, seeds: int) -> Any:
+    """Derivatives of the mean of the image, backward: (seeds, names)."""
+    parameters = mi.traverse(made)
+    found = []
+    for seed in range(seeds):
+        values = attached(parameters, *names)
+        dr.backward(dr.mean(mi.render(made, parameters, spp=spp, seed=seed), axis=None))
+        found.append([float(np.sum(np.array(dr.grad(value)))) for value in values])
+    for name in names:
+        parameters[name] = type(parameters[name])(dr.detach(parameters[name]))
+    parameters.update()
+    return np.array(found)
+
+
+def assert_near(samples: Any, expected: Any, within: float, error: Any = 0.0) -> None:
+    """The mean of samples is expected; a relative error of ``within`` would be found."""
+    own = samples.std(axis=0, ddof=1) / math.sqrt(len(samples))
+    error = np.hypot(own, error)
+    assert np.all(SIGMAS * error <= within * np.abs(expected)), f"too weak: {error / expected}"
+    scores = (samples.mean(axis=0) - expected) / error
+    assert np.all(np.abs(scores) < SIGMAS), (samples.mean(axis=0), expected, scores)
+
+
+# ---------------------------------------------------------------------- exact values
+
+
+@pytest.mark.parametrize(
+    ("albedo", "by_sigma", "by_albedo"),
+    [(0.5, -0.19466, 0.42045), *thorough((0.9, -0.04925, 0.50002), several=True)],
+)
+def test_an_erlang_ball(albedo: float, by_sigma: float, by_albedo: float) -> None:
+    """Mean over the square around it, under a white sky, by extinction and albedo."""
+    inside = medium("erlang", {"k": 2, "rate": 1.0}, sigma_t=1.0, albedo=albedo)
+    made = scene(LONG, sensor=orthographic(), ball=ball(inside), sky=FURNACE)
+    found = means(made, [SIGMA, ALBEDO], 2**10, 6)
+    assert_near(found, np.array([by_sigma, by_albedo]), 0.06)
+
+
+@pytest.mark.parametrize(
+    ("case", "exact"),
+    [
+        (("exponential", {}), -0.25394),
+        (("gamma", {"alpha": 0.5}), -0.14472),
+        *thorough((("erlang", {"k": 2, "rate": 1.0}), -0.29529), several=True),
+    ],
+)
+def test_an_absorbing_ball(case: Any, exact: float) -> None:
+    inside = medium(*case, sigma_t=1.0, albedo=0.0)
+    made = scene(LONG, sensor=orthographic(), ball=ball(inside), sky=FURNACE)
+    assert_near(means(made, [SIGMA], 2**10, 6), np.array([exact]), 0.05)
+
+
+def _smooth() -> list[Any]:
+    return [case for case in MODELS if law(case).smooth]
+
+
+@pytest.mark.parametrize(
+    "case", quick(_smooth(), lambda case: case[0] in ("gamma", "davis_weinstein")), ids=model_id
+)
+def test_a_white_furnace_does_not_depend_on_extinction(case: Any) -> None:
+    """Every law that claims derivatives. One path per pixel: no mean is taken off."""
+    inside = medium(*case, sigma_t=1.5, albedo=1.0, sample_emitters=False)
+    camera = orthographic() | {"film": square_film(128)}
+    integrator = {"type": "nonexp_volpath", "rr_depth": 1000, "max_depth": 200}
+    made = scene(integrator, sensor=camera, ball=ball(inside), sky=FURNACE)
+    found = means(made, [SIGMA], 1, 4)[:, 0]
+    error = found.std(ddof=1) / 2
+    assert error < 0.02
+    assert abs(found.mean()) < 6 * error + 1e-3
+
+
+@pytest.mark.parametrize("case", MODELS, ids=model_id)
+def test_laws_that_claim_none_are_refused(case: Any) -> None:
+    model = law(case)
+    if model.smooth or float(model.sigma_bar) == 0:
+        return
+    made = scene(sensor=orthographic(), ball=ball(medium(*case)), sky=FURNACE)
+    parameters = mi.traverse(made)
+    attached(parameters, SIGMA)
+    image = mi.render(made, parameters, spp=1)
+    with pytest.raises(ValueError, match=r"no derivative by ball.*sigma_t.*inverse.differences"):
+        dr.backward(image)
+
+
+# ---------------------------------------------------------------------- against differences
+
+CAMERA = {"sensor": perspective([0, 0.5, 4], [0, 0, 0], 40)}
+FLOOR = {
+    "type": "rectangle",
+    "to_world": mi.ScalarTransform4f().translate([0, -1.2, 0]).rotate([1, 0, 0], -90).scale(3),
+    "bsdf": {"type": "diffuse", "reflectance": 0.5},
+}
+GAMMA = {"alpha": 1.5}
+RGB = {"type": "rgb", "value": [0.5, 1.0, 2.0]}
+
+
+def gamma(**kw: Any) -> dict[str, Any]:
+    return medium("gamma", GAMMA, **{"sigma_t": 1.5, "albedo": 0.8, **kw})
+
+
+def varied(**kw: Any) -> dict[str, Any]:
+    values = np.random.default_rng(1).random((4, 4, 4)).astype(np.float32)
+    place = mi.ScalarTransform4f().translate([-1] * 3).scale(2)
+    grid = {"type": "gridvolume", "grid": mi.VolumeGrid(values), "to_world": place}
+    fog = gamma() | {"type": "nonexp_heterogeneous", "sigma_t": grid, "scale": 3.0}
+    return fog | kw
+
+
+def boxed(inside: Any) -> dict[str, Any]:
+    return box(inside, [-1, -1, -1], [1, 1, 1])
+
+
+LAW = "ball.interior_medium.transmittance.alpha"
+CASES: dict[str, tuple[dict[str, Any], list[str]]] = {
+    "ball": (
+        {"ball": ball(gamma(phase={"type": "hg", "g": 0.3})), "lamp": LAMP, "floor": FLOOR},
+        [
+            SIGMA,
+            ALBEDO,
+            LAW,
+            "ball.interior_medium.phase_function.g",
+            "floor.bsdf.reflectance.value",
+            "lamp.emitter.radiance.value",
+        ],
+    ),
+    "null surfaces": ({"ball": boxed(gamma()), "lamp": LAMP, "floor": FLOOR}, [SIGMA, ALBEDO, LAW]),
+    "glass": ({"ball": ball(gamma(), "dielectric"), "lamp": LAMP}, [SIGMA, ALBEDO]),
+    "chromatic": (
+        {"ball": boxed(gamma(sigma_t=RGB)), "lamp": LAMP, "sky": FURNACE},
+        [SIGMA, ALBEDO, LAW],
+    ),
+    "two media": (
+        {
+            "ball": ball(gamma(), radius=0.7) | {"center": [-0.6, 0, 0]},
+            "other": ball(medium("erlang", sigma_t=2.0), radius=0.5) | {"center": [0.9, 0, 0]},
+            "sky": FURNACE,
+        },
+        [SIGMA, ALBEDO, "other.interior_medium.sigma_t.value.value"],
+    ),
+    "emission": (
+        {"ball": ball(gamma(emission=2.0)), "floor": FLOOR},
+        [SIGMA, ALBEDO, LAW, "ball.interior_medium.emission.value.value"],
+    ),
+    "stock": ({"ball": ball(stock(sigma_t=1.5, albedo=0.8)), "sky": FURNACE}, [SIGMA, ALBEDO]),
+    "grid": (
+        {"ball": boxed(varied()), "sky": FURNACE},
+        ["ball.interior_medium.scale", ALBEDO, LAW],
+    ),
+}
+
+
+@pytest.mark.parametrize("name", quick(CASES, lambda name: name in ("ball", "grid")))
+def test_differences_agree(name: str) -> None:
+    """Central differences with common seeds, of parameters that move by a twentieth."""
+    parts, names = CASES[name]
+    integrator = {"type": "nonexp_volpath", "rr_depth": 100, "max_depth": 12}
+    made = scene(integrator, **CAMERA, **parts)
+    found = means(made, names, 128, 8)
+    for name, mine in zip(names, found.T, strict=True):
+        (one,) = zip(*(_means(made, name, 100 + seed) for seed in range(8)), strict=True)
+        both = np.array(one), mine
+        error = math.hypot(*(part.std(ddof=1) / math.sqrt(8) for part in both))
+        assert abs(both[0].mean() - mine.mean()) < SIGMAS * error, (name, *both)
+
+
+def _means(made: Any, name: str, seed: int) -> tuple[float]:
+    (found,) = inverse.differences(made, name, step=0.05, spp=256, runs=1, seed=seed)
+    return (float(found.value.mean()),)
+
+
+# ---------------------------------------------------------------------- the replay itself
+
+
+@pytest.mark.parametrize("name", ["null surfaces", *thorough("ball", "glass", "chromatic", "grid")])
+def test_forward_and_backward_agree_on_the_same_paths(name: str) -> None:
+    parts, names = CASES[name]
+    made = scene({"type": "nonexp_volpath", "max_depth": 8}, **CAMERA, **parts)
+    parameters = mi.traverse(made)
+    weight = mi.TensorXf(np.random.default_rng(2).random((8, 8, 3)).astype(np.float32))
+    (value,) = attached(parameters, names[0])
+    dr.backward(dr.sum(weight * mi.render(made, parameters, spp=16, seed=3), axis=None))
+    backward = float(np.sum(np.array(dr.grad(value))))
+    (found,) = inverse.jacobian(made, names[0], spp=16, runs=1, seed=3)
+    forward = float(np.sum(np.array(weight) * found.value))
+    assert forward == pytest.approx(backward, rel=2e-5)
+
+
+def test_paths_are_replayed_to_the_bit() -> None:
+    parts, names = CASES["null surfaces"]
+    made = scene({"type": "nonexp_volpath", "max_depth": 8}, **CAMERA, **parts)
+    parameters = mi.traverse(made)
+    attached(parameters, *names)
+    again = replay(made.integrator(), made, 0)
+    again.render_backward(made, parameters, mi.TensorXf(np.ones((8, 8, 3))), spp=16)
+    assert dr.all(again.residual == 0, axis=None)
+
+
+def test_what_depends_on_parameters_of_its_own() -> None:
+    """Parameters that are computed from others, in both modes."""
+    parts, _ = CASES["ball"]
+    made = scene({"type": "nonexp_volpath", "max_depth": 4}, **CAMERA, **parts)
+    parameters = mi.traverse(made)
+    root = mi.Float(0.75)
+    dr.enable_grad(root)
+    parameters[SIGMA] = 2 * root
+    parameters.update()
+    dr.backward(dr.mean(mi.render(made, parameters, spp=16, seed=3), axis=None))
+    (direct,) = inverse.jacobian(made, SIGMA, spp=16, runs=1, seed=3)
+    assert dr.grad(root)[0] == pytest.approx(2 * direct.value.mean(), rel=1e-4)
+
+
+# ---------------------------------------------------------------------- what is refused
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("ball.interior_medium.sigma_t.data", "the data of a grid: use nonexp.inverse.differences"),
+        ("lamp.to_world", "it would move what paths meet"),
+        ("glass.bsdf.specular_transmittance.value", "single directions"),
+        ("fog.interior_medium.albedo.value.value", "only nonexp's media and homogeneous ones"),
+    ],
+)
+def test_parameters_without_derivatives_are_refused(name: str, message: str) -> None:
+    cloud = varied() | {"type": "heterogeneous"}
+    del cloud["transmittance"]
+    made = scene(
+        sensor=orthographic(),
+        ball=boxed(varied()),
+        lamp=LAMP,
+        glass={"type": "sphere", "bsdf": {"type": "dielectric", "specular_transmittance": 0.9}},
+        fog=boxed(cloud),
+    )
+    parameters = mi.traverse(made)
+    attached(parameters, name)
+    image = mi.render(made, parameters, spp=1)
+    with pytest.raises(ValueError, match=f"no derivative by {name}.*{message}"):
+        dr.backward(image)
+
+
+def test_names_and_numbers_are_checked() -> None:
+    made = scene(sensor=orthographic(), ball=ball(gamma()), sky=FURNACE)
+    with pytest.raises(KeyError, match=r"the scene has no parameter 'ball\.sigma'"):
+        inverse.jacobian(made, "ball.sigma")
+    with pytest.raises(ValueError, match="runs is 0: it must be at least 1"):
+        inverse.differences(made, SIGMA, runs=0)
+    (found,) = inverse.jacobian(made, SIGMA, spp=4, runs=2)
+    assert found.value.shape == found.stderr.shape == (8, 8, 3)
+    assert dr.grad_enabled(mi.traverse(made)[SIGMA]) is False
