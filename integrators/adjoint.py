@@ -21,7 +21,8 @@ import mitsuba as mi
 from nonexp.plugins.spectra import somewhere
 from nonexp.transmittance import Transmittance
 
-from .media import Entry, Media, stock_extinction
+from . import walk
+from .media import Entry, Media, Walked, stock_extinction
 
 
 def log_or_zero(value: Any) -> Any:
@@ -38,8 +39,8 @@ class Wanted:
     """Kinds of parameters by which derivatives are wanted."""
 
     media: dict[int, frozenset[str]]
-    """of the medium with this ``id()``: ``extinction``, ``law``, ``albedo``, ``phase``,
-    ``emission``"""
+    """of the medium with this ``id()``: ``extinction``, ``law``, ``density``, ``albedo``,
+    ``phase``, ``emission``"""
     surfaces: bool
     """of some BSDF"""
     emitters: bool
@@ -58,20 +59,39 @@ class Twin:
             self._constant = None
             if entry.constant:
                 self._constant = leaves.of(self._extinction(somewhere()))
-            self._model = leaves.within(entry.model) if "law" in kinds else entry.model
+            self._model = entry.model
+            if "law" in kinds:
+                self._model = arrays_replaced(entry.model, leaves.of)
+            if "density" in kinds:
+                assert isinstance(entry, Walked)
+                self.density = entry.density.attached(mi.traverse(pointer.sigma_t)["data"].array)
 
     @property
     def scores(self) -> bool:
         """Flights depend on some parameter."""
-        return bool(self.kinds & {"extinction", "law"})
+        return bool(self.kinds & {"extinction", "law", "density"})
 
     def _at(self, mei: Any) -> Any:
         return self._extinction(mei) if self._constant is None else self._constant
 
     def flight(self, from_particle: Any, collided: Any, column: Any, mei: Any) -> Any:
         """Logarithm of a flight's density, or of its transmittance, for each channel."""
-        model = self._model
+        return self._flight(self._model, self._at(mei), from_particle, collided, column)
 
+    def slope(self, from_particle: Any, collided: Any, column: Any, mei: Any) -> Any:
+        """Derivative of :meth:`flight` by the column, not attached."""
+        model = arrays_replaced(self.entry.model, dr.detach)
+        column = mi.Float(dr.detach(column))
+        dr.enable_grad(column)
+        extinction = dr.detach(self._at(mei))
+        logs = self._flight(model, extinction, from_particle, collided, column)
+        dr.set_grad(column, 1.0)
+        return dr.detach(dr.forward_to(logs))
+
+    @staticmethod
+    def _flight(
+        model: Transmittance, extinction: Any, from_particle: Any, collided: Any, column: Any
+    ) -> Any:
         def of(extinction: Any) -> Any:
             tau = extinction * column
             density = dr.select(from_particle, model.pp(tau), model.fp(tau))
@@ -79,7 +99,6 @@ class Twin:
             logs = log_or_zero(extinction) + log_or_zero(density), log_or_zero(survival)
             return dr.select(collided, *logs)
 
-        extinction = self._at(mei)
         if dr.depth_v(extinction) == 1:
             return mi.UnpolarizedSpectrum(of(extinction))
         return mi.UnpolarizedSpectrum([of(channel) for channel in extinction])
@@ -87,6 +106,20 @@ class Twin:
     def survival(self, from_particle: Any, column: Any, mei: Any) -> Any:
         """Logarithm of the transmittance over a column, for each channel."""
         return self.flight(from_particle, mi.Bool(False), column, mei)
+
+
+def arrays_replaced(thing: Any, replace: Callable[[Any], Any]) -> Any:
+    """A copy of a law with other arrays."""
+    if dr.is_array_v(thing):
+        return replace(thing)
+    if isinstance(thing, tuple | list):
+        return type(thing)(arrays_replaced(item, replace) for item in thing)
+    if isinstance(thing, Transmittance):
+        twin = copy.copy(thing)
+        for name, value in vars(thing).items():
+            object.__setattr__(twin, name, arrays_replaced(value, replace))
+        return twin
+    return thing
 
 
 class Leaves:
@@ -113,19 +146,6 @@ class Leaves:
         self._pairs.append((value, leaf))
         return leaf
 
-    def within(self, thing: Any) -> Any:
-        """A copy of a law in which all arrays are stand-ins."""
-        if dr.is_array_v(thing):
-            return self.of(thing)
-        if isinstance(thing, tuple | list):
-            return type(thing)(self.within(item) for item in thing)
-        if isinstance(thing, Transmittance):
-            twin = copy.copy(thing)
-            for name, value in vars(thing).items():
-                object.__setattr__(twin, name, self.within(value))
-            return twin
-        return thing
-
     def pass_on(self) -> None:
         """Backward, what the stand-ins have collected."""
         with dr.resume_grad():
@@ -145,7 +165,8 @@ class Record:
     before: Any
     """radiance collected before it"""
     flight: tuple[Any, ...] | None = None
-    """location, origin, whether it collided, column, medium interaction, mask"""
+    """location, origin, whether it collided, column, medium interaction, mask, and where it began
+    and its length"""
     done: Any = None
     """the flight ends here (None: all do)"""
     emission: tuple[Any, ...] | None = None
@@ -216,9 +237,22 @@ class Adjoint:
     def share(self, media: Media, mei: Any, weight: Any) -> Callable[..., Any]:
         """What counts the derivative of a transmittance, ``weight`` times its logarithm's."""
 
-        def visit(tangent: Any, location: Any, from_particle: Any, column: Any, here: Any) -> Any:
+        def visit(
+            tangent: Any,
+            location: Any,
+            from_particle: Any,
+            column: Any,
+            here: Any,
+            start: Any,
+            length: Any,
+        ) -> Any:
             with dr.resume_grad():
                 column = dr.detach(dr.select(here & dr.isfinite(column), column, 1))
+                line = start, -mei.wi, length
+                never = mi.Bool(False)
+                tangent = self._densities(
+                    media, tangent, location, from_particle, never, column, mei, here, line, weight
+                )
                 logs = self._of_media(
                     {"extinction", "law"},
                     media,
@@ -229,6 +263,37 @@ class Adjoint:
 
         return visit
 
+    def _densities(
+        self,
+        media: Media,
+        tangent: Any,
+        location: Any,
+        from_particle: Any,
+        collided: Any,
+        column: Any,
+        mei: Any,
+        here: Any,
+        line: tuple[Any, Any, Any],
+        weight: Any,
+    ) -> Any:
+        """Count derivatives by the densities of grids along a line, ``weight`` times those of the
+        logarithm of a flight's density or of a transmittance."""
+        for number, twin in enumerate(self.twins, 1):
+            if "density" not in twin.kinds:
+                continue
+            within = media.inside(location) if len(self.twins) == 1 else location == number
+            within &= here
+            slope = dr.detach(weight) * twin.slope(from_particle, collided, column, mei)
+            slope = dr.select(within, slope, 0)
+            o, d, length = (dr.detach(part) for part in line)
+            if self.mode == dr.ADMode.Forward:
+                change = walk.spread(twin.density, o, d, length, None, within)
+                tangent = tangent + slope * change
+            else:
+                counted = dr.sum(self.delta * slope)
+                walk.spread(twin.density, o, d, length, counted, within & (counted != 0))
+        return tangent
+
     def after(
         self, media: Media | None, tangent: Any, record: Record, radiance: Any, carried: Any
     ) -> Any:
@@ -238,7 +303,7 @@ class Adjoint:
         terms: Any = mi.Spectrum(0)
         with dr.resume_grad():
             if media and record.flight and self.scores:
-                location, from_particle, collided, column, mei, inside = record.flight
+                location, from_particle, collided, column, mei, inside, *line = record.flight
                 column = dr.detach(dr.select(inside & dr.isfinite(column), column, 1))
                 scores = self._of_media(
                     {"extinction", "law"},
@@ -251,6 +316,28 @@ class Adjoint:
                 if self.baseline is not None:
                     scored -= dr.select(done, carried * self.baseline, 0)
                 terms += dr.select(inside, dr.detach(scored) * scores, 0)
+                o, length = line
+                tangent = self._densities(
+                    media,
+                    tangent,
+                    location,
+                    from_particle,
+                    collided,
+                    column,
+                    mei,
+                    inside,
+                    (o, -mei.wi, length),
+                    scored,
+                )
+                ends = self._of_media(
+                    {"density"},
+                    media,
+                    location,
+                    lambda twin, mask: mi.UnpolarizedSpectrum(
+                        log_or_zero(twin.density.lookup(dr.fma(-mei.wi, length, o), mask))
+                    ),
+                )
+                terms += dr.select(inside & collided, dr.detach(scored) * ends, 0)
             if media and record.glow and self._wants("albedo", "emission"):
                 throughput, location, mei, here = record.glow
                 light = self._of_media(

@@ -57,6 +57,10 @@ class _Ray:
     """neither blocked nor arrived"""
     column: Any
     """integral of the density since it entered that medium (with derivatives)"""
+    length: Any
+    """the distance (likewise)"""
+    began: Any
+    """and where it did"""
     tangent: Any
     """derivatives so far (with these, in forward mode)"""
 
@@ -328,7 +332,8 @@ class Connections:
                 # A ray past a ball may begin outside of its medium.
                 where = mi.Bool(True) if self.ball else location
                 counted = where, start.from_particle, distance, active & media.inside(where)
-                shares.append(partial(self._count_one, media, d, vertex, counted))
+                along = vertex.p, line.distance
+                shares.append(partial(self._count_one, media, d, vertex, (*counted, *along)))
             tau = optical_depth(sigma_t, distance)
             survival = media.ask("survival", location, start.from_particle, tau)
             if media.tracks:
@@ -415,6 +420,7 @@ class Connections:
                     )
                 if visit:
                     s.column = dr.select(inside, s.column + column, s.column)
+                    s.length = dr.select(inside, s.length + length, s.length)
                 tau = optical_depth(sigma_t, column)
                 s.tau = type(s.tau)(dr.select(inside, s.tau + tau, s.tau))
                 if media.tracks:
@@ -430,10 +436,12 @@ class Connections:
                     left & inside, s.transmittance * survival, s.transmittance
                 )
                 if visit:
-                    s.tangent = visit(
-                        s.tangent, s.location, s.from_particle, s.column, left & inside
-                    )
+                    there = s.began, s.length
+                    counted = s.location, s.from_particle, s.column, left & inside
+                    s.tangent = visit(s.tangent, *counted, *there)
                     s.column = dr.select(left, 0, s.column)
+                    s.length = dr.select(left, 0, s.length)
+                    s.began = dr.select(left, si.p, s.began)
                 s.tau = type(s.tau)(dr.select(left, 0, s.tau))
                 s.from_particle &= ~left
                 if media.thins:
@@ -467,6 +475,8 @@ class Connections:
             nudge=mi.Float(0),
             active=mi.Bool(active),
             column=mi.Float(0) if visit else None,
+            length=mi.Float(0) if visit else None,
+            began=mi.Point3f(vertex.p) if visit else None,
             tangent=tangent,
         )
         _, end = dr.while_loop(
@@ -479,7 +489,8 @@ class Connections:
         passed = dr.select(within, end.transmittance * survival, end.transmittance)
         if visit:
             there = active & within
-            tangent = visit(end.tangent, end.location, end.from_particle, end.column, there)
+            counted = end.location, end.from_particle, end.column, there
+            tangent = visit(end.tangent, *counted, end.began, end.length)
         return passed, tangent
 
 

@@ -48,6 +48,8 @@ class Flight:
     """integral of the density from where this flight began to the last event (likewise)"""
     balance: Any
     """weight of each channel, with mean 1 (chromatic extinction)"""
+    began: Any
+    """where it did (with null surfaces, while paths are replayed)"""
 
 
 @dataclass
@@ -224,6 +226,7 @@ class Events:
                 drawn=mi.Float(0) if null and self.keeps else None,
                 flown=mi.Float(0) if null and self.keeps else None,
                 balance=mi.UnpolarizedSpectrum(1) if chromatic else None,
+                began=mi.Point3f(ray.o) if null and self.adjoint else None,
             )
         if self.bent_hits:
             glass = Glass(mi.Point3f(0), mi.Bool(False), mi.Bool(False), mi.Bool(False))
@@ -358,7 +361,11 @@ class Events:
         sigma_t = dr.select(a.sigma_t > 0, a.sigma_t, 1)
         column = dr.select(a.collided, a.drawn / sigma_t, a.reached)
         mei = medium_interaction(s.d, a.ray)
-        return flight.location, flight.from_particle, a.collided, column, mei, a.inside
+        gap = dr.dot(flight.offset, s.d)
+        start = flight.began if self.null else dr.fma(-gap, s.d, s.o)
+        length = dr.select(a.collided | a.si.is_valid(), dr.dot(a.p - start, s.d), dr.inf)
+        end = a.inside, start, length
+        return flight.location, flight.from_particle, a.collided, column, mei, *end
 
     def _intersect(self, ray: Any, first: Any, active: Any) -> tuple[Any, Contact | None]:
         """The surface that a ray hits; behind the emitters, if these are hidden."""
@@ -574,6 +581,8 @@ class Events:
             flight.balance = mi.UnpolarizedSpectrum(balance)
         if self.null and self.keeps:
             flight.drawn, flight.flown = a.drawn, dr.select(fresh, 0, a.reached)
+            if self.adjoint:
+                flight.began = dr.select(fresh, a.p, flight.began)
             flight.from_particle = dr.select(fresh, a.collided, flight.from_particle)
         else:
             flight.from_particle = a.collided

@@ -100,11 +100,15 @@ def _kind(medium: Any, key: str, path: str) -> str:
     model = getattr(medium, "model", None)
     if kind is None or (model is None and not medium.is_homogeneous()):
         raise ValueError(f"no derivative by {key}: only nonexp's media and homogeneous ones have")
-    if key.endswith("sigma_t.data"):
-        raise ValueError(
-            f"no derivative by {key}, the data of a grid: use nonexp.inverse.differences"
-        )
-    if kind in ("extinction", "law") and model is not None and not model.smooth:
+    density = getattr(medium, "density", None)
+    if density is not None and key.endswith("sigma_t.data"):
+        if len(medium.ratios) > 1:
+            raise ValueError(
+                f"no derivative by {key}: its channels are multiples of one grid; give one density "
+                "and the parameter extinction"
+            )
+        kind = "density"
+    if kind in ("extinction", "law", "density") and model is not None and not model.smooth:
         raise ValueError(
             f"no derivative by {key}: flights of {type(model).__name__} have point masses or "
             "densities that jump; use nonexp.inverse.differences"

@@ -40,6 +40,33 @@ def distance(
     return dr.select(s.found, t, dr.inf), dr.select(s.found, target, s.column)
 
 
+def spread(density: Density, o: Any, d: Any, length: Any, weight: Any, active: Any) -> Any:
+    """Derivatives of :func:`column` by the data of the grid, which are attached.
+
+    In backward mode they are counted with a ``weight``; where that is None, the result is the
+    derivative for the tangents of the data. Cells of constant bricks count like all others.
+    """
+    line = _Line(density, o, d, length)
+    end = line.walk(dr.inf, active, _Spread(weight))
+    return end.spread
+
+
+@dataclass(frozen=True)
+class _Spread:
+    """Counts the derivatives of each step."""
+
+    weight: Any
+
+    def count(self, so_far: Any, piece: Any) -> Any:
+        """Those of one step, whose part of the integral is attached."""
+        if not dr.grad_enabled(piece):
+            return so_far
+        if self.weight is None:
+            return so_far + dr.detach(dr.forward_to(piece))
+        dr.backward_from(self.weight * piece)
+        return so_far
+
+
 def interval(density: Density, o: Any, d: Any) -> tuple[Any, Any]:
     """Distances at which a ray enters a grid and leaves it; the latter is smaller if it misses."""
     line = _Line(density, o, d, dr.inf)
@@ -59,6 +86,8 @@ class _Walk:
     """the integral reaches its target in this step"""
     walking: Any
     """neither that, nor at the end"""
+    spread: Any = None
+    """derivative of the integral (with derivatives)"""
 
 
 @dataclass
@@ -108,7 +137,7 @@ class _Line:
         ]
         self.density = density
 
-    def walk(self, target: Any, active: Any) -> _Walk:
+    def walk(self, target: Any, active: Any, spread: _Spread | None = None) -> _Walk:
         """Step from cell to cell until the integral reaches ``target``."""
         cells = self.density.cells
         start = [dr.clip(mi.Int32(p), 0, n - 1) for p, n in zip(self.p, cells, strict=True)]
@@ -118,24 +147,24 @@ class _Line:
             cell=mi.Vector3i(*start),
             found=mi.Bool(False),
             walking=active & (self.length > 0) & (target > 0),
+            spread=mi.Float(0) if spread else None,
         )
         (found,) = dr.while_loop(
             (state,),
             lambda s: s.walking,
-            lambda s: (self._advance(s, target),),
+            lambda s: (self._advance(s, target, spread),),
             label="nonexp: walk through a grid",
         )
         return found
 
-    def _advance(self, s: _Walk, target: Any) -> _Walk:
+    def _advance(self, s: _Walk, target: Any, spread: _Spread | None) -> _Walk:
         step = self._step(s, s.walking)
         dt = step.end - s.t
-        corners = self.density.corners(s.cell, s.walking & step.mixed)
-        if self.density.nearest:
-            mean = corners[0]
-        else:
-            a, b = (self._mean_at(s, corners, dr.fma(dt, g, s.t)) for g in (_GAUSS, 1 - _GAUSS))
-            mean = 0.5 * (a + b)
+        if spread:
+            with dr.resume_grad():
+                piece = dr.detach(dt) * self._mean(s, dr.detach(dt), s.walking)
+                s.spread = spread.count(s.spread, dr.select(s.walking, piece, 0))
+        mean = self._mean(s, dt, s.walking & step.mixed)
         total = dr.fma(dr.select(step.mixed, mean, step.constant), dt, s.column)
         s.found = s.walking & (total >= target)
         onward = s.walking & ~s.found
@@ -145,6 +174,14 @@ class _Line:
         s.walking = onward & inside & (step.end < self.length)
         s.cell = dr.select(s.walking, cell, s.cell)
         return s
+
+    def _mean(self, s: _Walk, dt: Any, active: Any) -> Any:
+        """Mean density over ``dt`` within a cell."""
+        corners = self.density.corners(s.cell, active)
+        if self.density.nearest:
+            return corners[0]
+        a, b = (self._mean_at(s, corners, dr.fma(dt, g, s.t)) for g in (_GAUSS, 1 - _GAUSS))
+        return 0.5 * (a + b)
 
     def _mean_at(self, s: _Walk, corners: Sequence[Any], t: Any) -> Any:
         within = [dr.fma(self.d[k], t, self.p[k]) - mi.Float(s.cell[k]) for k in range(3)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -146,6 +147,14 @@ class Density:
         self.brick_strides = [_whole(n) for n in (1, bricks[0], bricks[0] * bricks[1])]
         self.bricks = self._bricks(bricks)
         """density of each brick; where it is not constant, minus the largest one"""
+
+    def attached(self, data: Any) -> Density:
+        """The same with data that have derivatives, and no constant brick that hides some."""
+        twin = copy.copy(self)
+        twin.data = data
+        twin.bricks = dr.full(mi.Float, -1, dr.width(self.bricks))
+        dr.eval(twin.bricks)
+        return twin
 
     def arrays(self) -> list[Any]:
         """All that kernels read, but the data of the volume."""

@@ -335,6 +335,11 @@ class NonexpHeterogeneous(NonexpMedium):
         return self._most
 
     @property
+    def ratios(self) -> Any:
+        """The channels of the grid as multiples of its density."""
+        return self._ratios
+
+    @property
     def tracked(self) -> bool:
         """Flights draw an extinction and null collisions; else they walk through the grid."""
         return self.choice.extinctions is not None
