@@ -250,8 +250,10 @@ def test_derivatives_by_voxels(kind: str) -> None:
                 images.append(np.array(mi.render(made, spp=512, seed=100 + seed)).mean())
             theirs.append((images[0] - images[1]) / step)
         error = math.hypot(mine.std(ddof=1), np.std(theirs, ddof=1)) / math.sqrt(8)
-        slack = 0.1 * abs(mine.mean())  # one-sided: a voxel cannot be less than empty
-        assert abs(mine.mean() - np.mean(theirs)) < SIGMAS * error + slack, (mine, theirs)
+        # One-sided: a voxel cannot be less than empty. Where hardly a path comes, differences show
+        # nothing at all.
+        slack = 0.1 * abs(mine.mean()) + 1e-6
+        assert abs(mine.mean() - np.mean(theirs)) <= SIGMAS * error + slack, (mine, theirs)
 
 
 def voxels(kind: str) -> tuple[dict[str, Any], str]:
