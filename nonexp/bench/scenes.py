@@ -298,8 +298,8 @@ def _cloud(resolution: int, depth: float, filling: Filling, size: tuple[int, int
         "interior": filling.grid(volume, scale=depth / column, albedo=0.9),
     }
     sun = {"type": "directional", "direction": [0.75, -0.6, -0.3], "irradiance": 3.0}
-    view = camera(size, [0.3, -1.1, 3.9], 38)
-    return _scene(camera=view, bounds=bounds, sun=sun, sky={"type": "constant", "radiance": 0.5})
+    view = camera(size, [0.3, -1.1, 3.9], 25)
+    return _scene(camera=view, bounds=bounds, sun=sun, sky={"type": "constant", "radiance": 0.3})
 
 
 @cache
