@@ -245,7 +245,7 @@ def test_a_cloud_has_the_same_density_in_mitsubas_medium_and_in_ours() -> None:
     """Data and scale: the mean optical depth along z, over the middle quarter of the face."""
     for name, depth in (("cloud-32-thin", 0.14), ("cloud-32-thick", 7.0)):
         case = small(name)
-        tracked = {competitor.name: competitor.tracking for competitor in competing(case)}
+        tracked = {one.name: one.filling(case).tracking for one in competing(case)}
         assert tracked["nonexp regular"] == "regular" and tracked["nonexp delta"] == "delta"
         for filling in (Filling("linear"), Filling("exponential", tracking="delta"), Filling(None)):
             built = case.scene.build(filling, (8, 8))
@@ -346,6 +346,13 @@ def test_references_that_are_missing_or_of_another_size(tmp_path: Path) -> None:
         references.load(other, tmp_path)
     with pytest.raises(ValueError, match="must be > 0"):
         references.rebuild(case, tmp_path, 0)
+
+
+def test_reference_of_a_cloud_says_how_it_was_tracked(tmp_path: Path) -> None:
+    case = small("cloud-32-thin", "gamma", spp=4)
+    references.rebuild(case, tmp_path, 0.01)
+    read = references.load(case, tmp_path)
+    assert read.origin == "nonexp_volpath, tracking regular, 32 spp, seed 1"
 
 
 def test_closed_forms_need_no_file(tmp_path: Path) -> None:
@@ -529,7 +536,7 @@ def test_scaling_scenes_can_be_built(axis: scaling.Axis) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--scenes", "moon"], "scene is 'moon': it must be one of dragon"),
+        (["--scenes", "moon"], "scene is 'moon': it must be all, one of dragon"),
         (["--time", "soon"], "--time is 'soon': it must be a time > 0"),
         (["--seed", "-1"], "--seed is '-1'"),
         (["--list", "--scaling"], "--list and --scaling exclude each other"),
