@@ -9,7 +9,7 @@ help:
 	@echo 'make test       lint, types and the quick tests: all but those marked thorough (4 minutes)'
 	@echo 'make test-all   all tests (12 minutes)'
 	@echo 'make test-slow  all tests with full statistics (hours)'
-	@echo 'make bench      run time against error beside Mitsuba, into docs/benchmarks (13 minutes)'
+	@echo 'make bench      run time against error beside Mitsuba, into docs/benchmarks (16 minutes)'
 	@echo 'make lint       lint and types only'
 	@echo 'make docs       documentation, notebooks executed, in out/docs/docs/index.html'
 	@echo 'make gallery    pictures of all models, docs/gallery.md; goes on where it was stopped'

@@ -1,7 +1,7 @@
 """Render the pictures of README.md, docs/faq.md and docs/refractive.md into docs/images.
 
-Takes 12 minutes on 2 cores, and needs the extra plot. Arguments choose some of the pictures:
-laws, series, refractive.
+Takes 15 minutes on 2 cores, and needs the extra plot. Arguments choose some of the pictures:
+laws, series, clouds, refractive. The clouds need a grid: nonexp cloud scenes/cloud.npz.
 
 .venv/bin/pip install -e '.[plot]' && .venv/bin/python tools/figures.py
 """
@@ -26,9 +26,10 @@ from nonexp.images import exr as output
 ROOT = Path(__file__).resolve().parent.parent
 SIZE = {"width": 400, "height": 300}
 
-FIGURES = {
+FIGURES: dict[str, tuple[str, dict[str, float], int, dict[str, str]]] = {
     "laws": (
         "dragon",
+        SIZE,
         1024,
         {
             "constant": "constant",
@@ -40,6 +41,7 @@ FIGURES = {
     ),
     "series": (
         "fog",
+        SIZE,
         512,
         {
             "linear_b1000": "linear, b = 1000",
@@ -47,14 +49,30 @@ FIGURES = {
             "linear_b0.8": "linear, b = 0.8",
         },
     ),
+    "clouds": (
+        "cloud",
+        {"width": 200, "height": 150, "extinction": 4},
+        128,
+        {
+            "exponential_mixture": "exponential_mixture",
+            "gamma": "gamma, alpha = 2",
+            "exponential": "exponential",
+            "quadratic": "quadratic, b = 2",
+            "linear": "linear, b = 1",
+        },
+    ),
 }
+"""Name of a picture: scene, its parameters, samples per pixel, and media with their titles."""
 
 
-def laws(scene: str, spp: int, media: dict[str, str]) -> Any:
+def laws(scene: str, parameters: dict[str, float], spp: int, media: dict[str, str]) -> Any:
     """One scene in several media, side by side."""
-    figure, axes = plt.subplots(1, len(media), figsize=(4 * len(media), 3.35), layout="constrained")
+    width, height = (parameters[side] / 100 for side in ("width", "height"))
+    size = (width * len(media), height + 0.35)
+    figure, axes = plt.subplots(1, len(media), figsize=size, layout="constrained")
     for axis, (medium, title) in zip(axes, media.items(), strict=True):
-        built = mi.load_file(str(ROOT / "scenes" / f"{scene}.xml"), medium=medium, **SIZE)
+        path = ROOT / "scenes" / f"{scene}.xml"
+        built = mi.load_file(str(path), medium=medium, **parameters)
         image = nonexp.render(built, spp=spp)
         print(f"{scene}.xml, {medium}: {image.spp} spp in {image.seconds:.0f} s", flush=True)
         axis.imshow(output.tone_map(image.mean))

@@ -1,5 +1,7 @@
 """Render the gallery: every model in the dragon scene, and a series in the fog room.
 
+Its cloud is a picture of tools/figures.py.
+
 .venv/bin/python tools/gallery.py [--spp 1024] [--size 320x240]
 
 The command `nonexp render` renders each image into out/gallery/. Its PNG is copied to
@@ -51,6 +53,24 @@ FOG = """\
 The camera is in the fog: `scenes/fog.xml`. In the first three images the longest flight `b`
 shrinks; the mean extinction is `1/b`. The last two images have the mean extinction of `linear` with
 `b = 1`.
+"""
+
+CLOUD = """\
+## A cloud in five laws
+
+![One cloud in five laws, from clustered particles to perfect order](images/clouds.png)
+
+`scenes/cloud.xml` with `extinction` 4: one grid of 128³ voxels, the sun from the left. Only the
+law differs. Where particles cluster (`exponential_mixture`, `gamma`) light finds gaps, and the
+cloud is soft and transparent. Where they keep their distance (`quadratic`, `linear`) its edges
+are harder and its shadow darker: with `linear` no light goes farther than the optical depth 1
+without a collision, which draws the line between light and shadow. 200 x 150, 128 samples per
+pixel, made by `nonexp cloud scenes/cloud.npz` and `tools/figures.py clouds`. One of these images:
+
+```sh
+nonexp cloud scenes/cloud.npz
+nonexp render scenes/cloud.xml -D medium=linear -D extinction=4 --spp 128 --size 200x150
+```
 """
 
 
@@ -153,7 +173,7 @@ def page(sections: dict[str, list[Picture]], spp: int, size: str) -> str:
                 "```\n",
                 made(picture, header),
             ]
-    return "\n".join(text)
+    return "\n".join([*text, CLOUD])
 
 
 def main() -> None:

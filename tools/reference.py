@@ -60,8 +60,9 @@ that are not correlated with the scatterers, over optical depth `tau`; `sigma_ba
 mean extinction per unit of it. [accuracy.md](accuracy.md) has the errors in single precision,
 [theory.md](theory.md) what the functions mean, [gallery.md](gallery.md) a picture of each model.
 
-Every model is a texture `transmittance_<model>`, nested in the medium `nonexp_homogeneous`
-([plugins.md](plugins.md)) from XML or, the second form, from a dictionary of `mi.load_dict`."""
+Every model is a texture `transmittance_<model>`, nested in a medium,
+`nonexp_homogeneous` or `nonexp_heterogeneous` ([plugins.md](plugins.md)), from XML or, the second
+form, from a dictionary of `mi.load_dict`."""
 
 
 def models_page() -> str:
@@ -95,7 +96,11 @@ PLUGINS = """\
 
 Written by `tools/reference.py` from the docstrings. `import nonexp` makes these known to
 Mitsuba, in every `llvm_*` and `cuda_*` variant but the polarised ones, whether the variant is set
-before or after. In scenes they stand beside all of Mitsuba's own plugins."""
+before or after. In scenes they stand beside all of Mitsuba's own plugins.
+
+There are two media: `nonexp_homogeneous`, and `nonexp_heterogeneous` for a density on a grid.
+Examples are given in XML and as a dictionary. `nonexp cloud cloud.npz` and `nonexp cloud cloud.vol`
+make the files that the examples of the latter name."""
 
 EXAMPLES: dict[str, tuple[str, dict[str, Any]]] = {
     "nonexp_homogeneous": (
@@ -114,6 +119,25 @@ EXAMPLES: dict[str, tuple[str, dict[str, Any]]] = {
             "albedo": 0.9,
             "phase": {"type": "hg", "g": 0.6},
             "transmittance": {"type": "transmittance_gamma", "alpha": 0.5},
+        },
+    ),
+    "nonexp_heterogeneous": (
+        """\
+<medium type="nonexp_heterogeneous" name="interior">
+    <string name="filename" value="cloud.npz"/>
+    <transform name="to_world"> <translate value="-0.5"/> <scale value="2"/> </transform>
+    <float name="extinction" value="12"/>
+    <float name="albedo" value="0.999"/>
+    <phase type="hg"> <float name="g" value="0.4"/> </phase>
+    <texture type="transmittance_gamma" name="transmittance"/>
+</medium>""",
+        {
+            "type": "nonexp_heterogeneous",
+            "sigma_t": {"type": "gridvolume", "filename": "cloud.vol"},
+            "scale": 12.0,
+            "albedo": 0.999,
+            "phase": {"type": "hg", "g": 0.4},
+            "transmittance": {"type": "transmittance_linear", "b": 1.0},
         },
     ),
     "nonexp_volpath": (

@@ -21,7 +21,8 @@ class Competitor:
     is None for integrators that render nonexp's media; otherwise the integrator renders Mitsuba's
     own media, with these properties. It takes part in scenes that have all tags ``needs`` and none
     of ``not_with``, and in a quick run only if ``quick``. ``later`` bounces are added to the
-    scene's ``rr_depth``. ``module`` is imported first, to register your own plugin.
+    scene's ``rr_depth``. ``module`` is imported first, to register your own plugin. ``tracking`` is
+    how flights pass grids; with another than ``auto`` only laws for which there is a choice.
     """
 
     name: str
@@ -33,17 +34,23 @@ class Competitor:
     quick: bool = False
     later: int = 0
     module: str = ""
+    tracking: str = "auto"
 
     def takes_part(self, case: Case) -> bool:
         """Whether it competes in the case."""
         tags = case.scene.tags
         return (
-            self.needs <= tags and not self.not_with & tags and (self.medium is None or case.stock)
+            self.needs <= tags
+            and not self.not_with & tags
+            and (self.medium is None or case.stock)
+            and (self.tracking == "auto" or case.mixes)
         )
 
     def filling(self, case: Case) -> Filling:
         """What fills the scene's media for this competitor."""
-        return Filling(case.law) if self.medium is None else Filling(None, self.medium)
+        if self.medium is None:
+            return Filling(case.law, tracking=self.tracking)
+        return Filling(None, self.medium)
 
     def integrator(self, scene: Scene) -> Any:
         """The plugin. Raises ``RuntimeError`` if it does not know a property."""
@@ -55,6 +62,7 @@ MEDIA = frozenset({"media"})
 GLASS = frozenset({"glass"})
 CHROMATIC = frozenset({"chromatic"})
 CAMERA_INSIDE = frozenset({"camera inside"})
+GRID = frozenset({"grid"})
 GREY = {"has_spectral_extinction": False}
 
 COMPETITORS = (
@@ -67,6 +75,8 @@ COMPETITORS = (
         quick=True,
     ),
     Competitor("nonexp nee=on", "nonexp_volpath", {"refractive_nee": "on"}, needs=GLASS),
+    Competitor("nonexp regular", "nonexp_volpath", needs=GRID, tracking="regular"),
+    Competitor("nonexp delta", "nonexp_volpath", needs=GRID, tracking="delta"),
     Competitor("volpath", "volpath", medium={}, quick=True),
     Competitor(
         "volpath tuned",
@@ -112,9 +122,12 @@ def competing(case: Case, quick: bool = False) -> list[Competitor]:
 def reference_competitor(case: Case) -> Competitor:
     """What renders the reference: Mitsuba if the law allows it, else our simplest configuration."""
     glass = "glass" in case.scene.tags
+    grid = "grid" in case.scene.tags
     if case.stock:
         tuned = GREY if "chromatic" not in case.scene.tags else {}
         plain = {"sample_emitters": False} if glass else {}
         return Competitor("volpath", "volpath", medium={**tuned, **plain})
     off = Competitor("nonexp", "nonexp_volpath", {"refractive_nee": "off"})
-    return off if glass and known(off, case.scene) else Competitor("nonexp", "nonexp_volpath")
+    if glass and known(off, case.scene):
+        return off
+    return Competitor("nonexp", "nonexp_volpath", tracking="regular" if grid else "auto")

@@ -110,6 +110,8 @@ def rebuild(
     integrator = f"{competitor.plugin} {dict(competitor.properties) or ''}".strip()
     if len(channels) > 1:
         integrator += ", each channel as a grey medium"
+    if competitor.tracking != "auto":
+        integrator += f", tracking {competitor.tracking}"
     header = {
         "command": command,
         "case": case.name,

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
 import mitsuba as mi
 
 from .. import models
+from ..scene.cloud import cloud
 from ..scene.load import load
 
 __all__ = [
@@ -57,22 +59,27 @@ class Filling:
     """What fills the media of a scene: a ``law`` of :data:`LAWS`; None is Mitsuba's own medium.
 
     ``properties`` are passed to Mitsuba's medium. ``channel`` makes the medium grey, with the
-    extinction and the albedo of that channel.
+    extinction and the albedo of that channel. ``tracking`` is how flights pass a grid.
     """
 
     law: str | None
     properties: Mapping[str, Any] = field(default_factory=dict)
     channel: int | None = None
+    tracking: str = "auto"
 
     def medium(self, number: int = 0, **parameters: Any) -> dict[str, Any]:
         """Medium ``number`` of a scene; values are numbers, or lists of one per channel."""
         values = {key: self._value(value) for key, value in parameters.items()}
         if self.law is None:
             return {"type": "homogeneous", **values, **self.properties}
-        laws = LAWS[self.law]
-        model, fields = laws[number % len(laws)]
-        law = models.to_dict(models.create(model, **fields))
-        return {"type": "nonexp_homogeneous", "transmittance": law, **values}
+        return {"type": "nonexp_homogeneous", "transmittance": self._law(number), **values}
+
+    def grid(self, volume: dict[str, Any], **parameters: Any) -> dict[str, Any]:
+        """A medium whose density is a ``gridvolume``."""
+        if self.law is None:
+            return {"type": "heterogeneous", "sigma_t": volume, **parameters, **self.properties}
+        law = {"tracking": self.tracking, "transmittance": self._law(0)}
+        return {"type": "nonexp_heterogeneous", "sigma_t": volume, **law, **parameters}
 
     def parameters(self) -> dict[str, str]:
         """The same as parameters of the scenes in ``scenes/``, which include the medium's file."""
@@ -81,6 +88,12 @@ class Filling:
             return {"medium": "../../benchmarks/media/stock", **flags}
         ((model, fields),) = LAWS[self.law]
         return {"medium": model, **{key: str(value) for key, value in fields.items()}}
+
+    def _law(self, number: int) -> dict[str, Any]:
+        assert self.law is not None
+        laws = LAWS[self.law]
+        model, fields = laws[number % len(laws)]
+        return models.to_dict(models.create(model, **fields))
 
     def _value(self, value: Any) -> Any:
         if not isinstance(value, list):
@@ -94,9 +107,11 @@ class Scene:
 
     ``build`` makes it from a filling and an image size (width, height). ``tags`` decide which
     integrators compete: ``media``; ``glass`` around all media, without a lamp inside;
-    ``chromatic`` extinction; ``camera inside`` the medium. ``exact`` is the radiance of all pixels
-    for a law, if known. ``spp`` is the number of samples per pixel of a pass, ``weight`` the share
-    of time for its references, ``file`` its path below ``scenes/``, if it has one.
+    ``chromatic`` extinction; ``camera inside`` the medium; ``grid``, a medium whose density varies
+    in space. ``exact`` is the radiance of all pixels for a law, if known. ``spp`` is the number of
+    samples per pixel of a pass, ``weight`` the share of time for its references, ``file`` its path
+    below ``scenes/``, if it has one. A run that names no scene takes only the laws ``usual``, if
+    they are given.
     """
 
     name: str
@@ -111,6 +126,7 @@ class Scene:
     exact: Callable[[str], float] | None = None
     weight: float = 1.0
     file: str | None = None
+    usual: tuple[str, ...] | None = None
 
 
 @dataclass(frozen=True)
@@ -130,16 +146,34 @@ class Case:
         """Whether Mitsuba's own integrators can render it too."""
         return self.law == "exponential"
 
+    @property
+    def usual(self) -> bool:
+        """Whether a run that names no scene measures it."""
+        return self.scene.usual is None or self.law in self.scene.usual
+
+    @property
+    def mixes(self) -> bool:
+        """Whether its laws are mixtures of exponentials: null collisions are exact with these."""
+        return all(
+            models.create(model, **fields).extinctions is not None
+            for model, fields in LAWS[self.law]
+        )
+
+    def called(self, name: str) -> bool:
+        """Whether ``name`` is its own or begins it (``cloud``, ``cloud-32``), or is ``all``."""
+        return name == "all" or f"{self.name}-".startswith(f"{name}-")
+
 
 def cases(names: tuple[str, ...] = ()) -> list[Case]:
-    """All cases, or those whose scene or own name is among ``names``."""
+    """The cases called by ``names``; without a name, the usual ones."""
     every = [Case(scene, law) for scene in SCENES for law in scene.laws]
-    known = {scene.name for scene in SCENES} | {case.name for case in every}
     for name in names:
-        if name not in known:
+        if not any(case.called(name) for case in every):
             listed = ", ".join(scene.name for scene in SCENES)
-            raise ValueError(f"scene is {name!r}: it must be one of {listed}, or one with its law")
-    return [case for case in every if not names or {case.name, case.scene.name} & {*names}]
+            raise ValueError(
+                f"scene is {name!r}: it must be all, one of {listed}, or one with its law"
+            )
+    return [case for case in every if (any(map(case.called, names)) if names else case.usual)]
 
 
 def checkout() -> Path | None:
@@ -250,9 +284,56 @@ def _many(filling: Filling, size: tuple[int, int]) -> Any:
     return _scene(camera=camera(size, [0, 0, 4.5], 33), **balls, **lit())
 
 
+def _cloud(resolution: int, depth: float, filling: Filling, size: tuple[int, int]) -> Any:
+    """A cloud in a cube of 2 x 2 x 2: ``depth`` is the mean optical depth along z, over the middle
+    quarter of the cube's face."""
+    density = _density(resolution)
+    middle = slice(resolution // 4, resolution - resolution // 4)
+    column = 2 * float(density[:, middle, middle].mean())
+    place = mi.ScalarTransform4f().translate(-1).scale(2)
+    volume = {"type": "gridvolume", "grid": mi.VolumeGrid(density), "to_world": place}
+    bounds = {
+        "type": "cube",
+        "bsdf": {"type": "null"},
+        "interior": filling.grid(volume, scale=depth / column, albedo=0.9),
+    }
+    sun = {"type": "directional", "direction": [0.75, -0.6, -0.3], "irradiance": 3.0}
+    view = camera(size, [0.3, -1.1, 3.9], 25)
+    return _scene(camera=view, bounds=bounds, sun=sun, sky={"type": "constant", "radiance": 0.3})
+
+
+@cache
+def _density(resolution: int) -> Any:
+    return cloud(resolution)
+
+
 # --------------------------------------------------------------------- the table
 
 GLASS = frozenset({"media", "glass"})
+
+GRID = frozenset({"media", "grid"})
+DEPTHS = {
+    (32, "thin"): 0.14,
+    (32, "medium"): 1.05,
+    (32, "thick"): 7.0,
+    (128, "thin"): 0.07,
+    (128, "medium"): 0.55,
+    (128, "thick"): 3.7,
+}
+"""Mean optical depths of the clouds, by resolution."""
+USUAL = {(32, "medium"): ("exponential",), (128, "medium"): ("gamma",)}
+
+CLOUDS = tuple(
+    Scene(
+        f"cloud-{resolution}-{name}",
+        f"a cloud of {resolution}^3 voxels, mean optical depth {depth:g}, in sun and sky",
+        partial(_cloud, resolution, depth),
+        laws=("exponential", "gamma", "linear"),
+        tags=GRID,
+        usual=USUAL.get((resolution, name), ()),
+    )
+    for (resolution, name), depth in DEPTHS.items()
+)
 
 SCENES = (
     Scene(
@@ -311,5 +392,6 @@ SCENES = (
         _many,
         laws=("exponential", "mixed"),
     ),
+    *CLOUDS,
 )
 """Every scene with every one of its laws is a case; so is a scene without media, once."""
