@@ -68,6 +68,8 @@ def wanted_of(scene: mi.Scene) -> Wanted:
     for key in parameters.keys():
         if not dr.grad_enabled(parameters[key]):
             continue
+        if int(parameters.properties[key][3]) & int(mi.ParamFlags.NonDifferentiable):
+            raise ValueError(f"no derivative by {key}: it is not differentiable")
         owner, path = _owner(parameters, key)
         tail = key.split(".")[-1]
         if tail in _PLACES or owner is None:

@@ -46,6 +46,9 @@ class NonexpVolpath(mi.SamplingIntegrator):
     Where extinction differs between wavelengths, one of a path's channels draws all its flights,
     and the path is weighted by the balance heuristic over all channels. Media of Mitsuba's own are
     the exponential media they are; heterogeneous ones are tracked with null collisions.
+
+    ``mi.render(scene, params)`` differentiates images by replaying their paths, forward and
+    backward, without bias; parameters by which there is no derivative raise ``ValueError``.
     """
 
     def __init__(self, props: mi.Properties) -> None:

@@ -22,7 +22,7 @@ from cyclopts.argument import Argument
 from docstrings import field_docs, inline, manual
 
 import nonexp
-from nonexp import fitting, images, models, parameters, rendering
+from nonexp import fitting, images, inverse, models, parameters, rendering
 from nonexp.cli import app as command_line
 from nonexp.fitting import plot as plotting
 from nonexp.plugins import registration
@@ -192,6 +192,7 @@ DOCUMENTED: dict[str, tuple[Any, tuple[str, ...]]] = {
     "nonexp.fitting": (fitting, ("Fit", "compare", "read_table")),
     "nonexp.parameters": (parameters, ("whole", "vector", "text", "function", "components")),
     "nonexp.rendering": (rendering, ("plan", "planned", "render_passes")),
+    "nonexp.inverse": (inverse, ("jacobian", "differences", "Derivative")),
     "nonexp.images": (images, ("read", "tone_map", "write")),
     "nonexp.fitting.plot": (plotting, ("plot_model", "plot_fit")),
 }
