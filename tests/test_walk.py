@@ -283,3 +283,20 @@ def test_bricks_know_where_density_is_constant() -> None:
     made = density(repeated, mi.ScalarTransform4f(), wrap="repeat")
     bricks = np.array(made.bricks).reshape(3, 3, 3)
     assert np.all(bricks[..., [0, 2]] < 0) and np.all(bricks[..., 1] == 0)
+
+
+@pytest.mark.parametrize("nearest", [False, True], ids=["trilinear", "nearest"])
+@pytest.mark.parametrize("wrap", ["clamp", "repeat"])
+def test_bounds_of_bricks_are_the_largest_densities(nearest: bool, wrap: str) -> None:
+    values = np.random.default_rng(8).random((20, 9, 13)).astype(np.float32)
+    made = density(values, mi.ScalarTransform4f(), nearest, wrap)
+    padded = values if nearest else np.pad(values, 1, mode="wrap" if wrap == "repeat" else "edge")
+    cells = [n - (0 if nearest else 1) for n in padded.shape]
+    corners = 0 if nearest else 1
+    counts = [-(-n // 8) for n in cells]
+    for place in np.ndindex(*counts):
+        block = padded[tuple(slice(8 * b, 8 * b + 8 + corners) for b in place)]
+        brick = [mi.Int32(b) for b in reversed(place)]
+        assert made.bound(brick, True)[0] == block.max()
+    outside = [mi.Int32(-1), mi.Int32(0), mi.Int32(0)]
+    assert made.bound(outside, True)[0] == 0
