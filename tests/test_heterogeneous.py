@@ -445,6 +445,22 @@ def test_leaving_it_out_changes_nothing(key: str) -> None:
     assert_same(got, right, 0.05)
 
 
+@pytest.mark.parametrize("key", ["gamma", *thorough("linear")])
+def test_a_lamp_inside(key: str) -> None:
+    """Connections end within the grid: as in a homogeneous medium of the same density."""
+    lamp = {
+        "type": "sphere",
+        "center": [0.4, 0.5, 0.0],
+        "radius": 0.2,
+        "emitter": {"type": "area", "radiance": 4.0},
+    }
+    parts = {**CAMERA, "lamp": lamp, "thing": THING, "ground": GROUND}
+    inside = varied(np.ones((2, 3, 4)), key, scale=1.5, albedo=0.9)
+    same = medium(key, sigma_t=1.5, albedo=0.9)
+    got = passes(scene(**parts, **cube(inside)), 2**11, 1, 3)
+    assert_same(got, passes(scene(**parts, **cube(same)), 2**11, 2, 3), 0.06)
+
+
 @THOROUGH
 def test_without_it_from_inside_against_volpath() -> None:
     def parts(inside: dict[str, Any]) -> dict[str, Any]:
