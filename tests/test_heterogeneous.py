@@ -457,8 +457,8 @@ def test_a_lamp_inside(key: str) -> None:
     parts = {**CAMERA, "lamp": lamp, "thing": THING, "ground": GROUND}
     inside = varied(np.ones((2, 3, 4)), key, scale=1.5, albedo=0.9)
     same = medium(key, sigma_t=1.5, albedo=0.9)
-    got = passes(scene(**parts, **cube(inside)), 2**11, 1, 3)
-    assert_same(got, passes(scene(**parts, **cube(same)), 2**11, 2, 3), 0.06)
+    got = passes(scene(**parts, **cube(inside)), 2**12, 1, 3)
+    assert_same(got, passes(scene(**parts, **cube(same)), 2**12, 2, 3), 0.08)
 
 
 @THOROUGH
