@@ -199,28 +199,24 @@ CASES: dict[str, tuple[dict[str, Any], list[str]]] = {
 }
 
 
-@pytest.mark.parametrize("name", quick(CASES, lambda name: name in ("ball", "grid")))
+@pytest.mark.parametrize("name", quick(CASES, lambda name: name == "grid"))
 def test_differences_agree(name: str) -> None:
     """Central differences with common seeds, of parameters that move by a twentieth."""
     parts, names = CASES[name]
     integrator = {"type": "nonexp_volpath", "rr_depth": 100, "max_depth": 12}
     made = scene(integrator, **CAMERA, **parts)
-    found = means(made, names, 128, 8)
+    found = means(made, names, 256, 6)
     for name, mine in zip(names, found.T, strict=True):
-        (one,) = zip(*(_means(made, name, 100 + seed) for seed in range(8)), strict=True)
-        both = np.array(one), mine
-        error = math.hypot(*(part.std(ddof=1) / math.sqrt(8) for part in both))
+        runs = (
+            inverse.differences(made, name, step=0.05, spp=512, runs=1, seed=s)
+            for s in range(100, 106)
+        )
+        both = np.array([one.value.mean() for (one,) in runs]), mine
+        error = math.hypot(*(part.std(ddof=1) / math.sqrt(6) for part in both))
         assert abs(both[0].mean() - mine.mean()) < SIGMAS * error, (name, *both)
 
 
-def _means(made: Any, name: str, seed: int) -> tuple[float]:
-    (found,) = inverse.differences(made, name, step=0.05, spp=256, runs=1, seed=seed)
-    return (float(found.value.mean()),)
-
-
-@pytest.mark.parametrize(
-    "kind", ["cut", *thorough("connected", "nearest, in glass", "two grids", "chromatic")]
-)
+@pytest.mark.parametrize("kind", ["cut", *thorough("connected", "nearest, in glass", "chromatic")])
 def test_derivatives_by_voxels(kind: str) -> None:
     """Of some voxels, empty ones too, and of all together, against differences."""
     parts, name = voxels(kind)
@@ -229,7 +225,7 @@ def test_derivatives_by_voxels(kind: str) -> None:
     parameters = mi.traverse(made)
     name = next(key for key in parameters.keys() if key.endswith(name))
     base = np.array(parameters[name])
-    spots = [(0, 0, 0, 0), (1, 2, 1, 0), (2, 1, 3, 0)]
+    spots = [(0, 0, 0, 0), (1, 2, 1, 0)]
     changes = [np.ones_like(base)]
     for spot in spots:
         changes.append(np.zeros_like(base))
@@ -284,8 +280,6 @@ def voxels(kind: str) -> tuple[dict[str, Any], str]:
         parts = {"ball": ball(inside, "dielectric"), "lamp": LAMP}
     elif kind == "connected":
         parts |= {"floor": FLOOR, "lamp": LAMP}
-    elif kind == "two grids":
-        parts["other"] = ball(varied(), radius=0.4) | {"center": [0, 1.6, 0]}
     return parts, name
 
 
