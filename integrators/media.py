@@ -22,7 +22,7 @@ import numpy as np
 
 from nonexp import models
 from nonexp.numerics.laplace import AliasTable
-from nonexp.plugins.density import BRICK, Density
+from nonexp.plugins.density import Bounds, Density
 from nonexp.plugins.spectra import grey, somewhere, visible
 from nonexp.transmittance import Draw, Transmittance
 
@@ -307,6 +307,8 @@ class TrackedGrid(Tracked):
     density: Density
     factor: Callable[[Any], Any]
     """extinction where the density is 1"""
+    blocks: Bounds
+    """upper bounds of the density"""
     law_f: AliasTable | None
     """of S, from a fixed point; None if S is always 1"""
     law_p: AliasTable | None
@@ -328,10 +330,10 @@ class TrackedGrid(Tracked):
 
     def bricks(self, ray: Any, active: Any) -> tuple[Any, Any]:
         p, d = self.density.index(ray.o), self.density.index_step(ray.d)
-        return mi.Point3f(p / BRICK), mi.Vector3f(d / BRICK)
+        return mi.Point3f(p * self.blocks.scale), mi.Vector3f(d * self.blocks.scale)
 
     def bound(self, brick: Any, active: Any) -> Any:
-        return self.density.bound(brick, active)
+        return self.blocks.of(brick, active)
 
     def coefficients(self, mei: Any, majorant: Any, active: Any) -> tuple[Any, Any]:
         sigma_t = mi.UnpolarizedSpectrum(self.factor(mei)) * self.density.lookup(mei.p, active)
@@ -374,7 +376,7 @@ def entry_of(pointer: Any, sealed: bool, regular: bool = False) -> Entry | None:
     unit = partial(_always, mi.Float(1))
     return TrackedGrid(
         pointer, model, unit, albedo, sealed, chromatic, True, emission, None, density, extinction,
-        *pointer.mixing,
+        pointer.choice.bounds, *pointer.mixing,
     )  # fmt: skip
 
 

@@ -11,7 +11,7 @@ import pytest
 from tiers import quick
 
 from nonexp.integrators import walk
-from nonexp.plugins.density import Density, Placement
+from nonexp.plugins.density import Bounds, Density, Placement
 
 RAYS = 1000
 PLACES = {
@@ -287,16 +287,18 @@ def test_bricks_know_where_density_is_constant() -> None:
 
 @pytest.mark.parametrize("nearest", [False, True], ids=["trilinear", "nearest"])
 @pytest.mark.parametrize("wrap", ["clamp", "repeat"])
-def test_bounds_of_bricks_are_the_largest_densities(nearest: bool, wrap: str) -> None:
-    values = np.random.default_rng(8).random((20, 9, 13)).astype(np.float32)
+@pytest.mark.parametrize("size", [8, 16, 64])
+def test_bounds_are_the_largest_densities(nearest: bool, wrap: str, size: int) -> None:
+    values = np.random.default_rng(8).random((20, 9, 33)).astype(np.float32)
     made = density(values, mi.ScalarTransform4f(), nearest, wrap)
+    bounds = Bounds(made, size)
     padded = values if nearest else np.pad(values, 1, mode="wrap" if wrap == "repeat" else "edge")
-    cells = [n - (0 if nearest else 1) for n in padded.shape]
     corners = 0 if nearest else 1
-    counts = [-(-n // 8) for n in cells]
+    counts = [-(-(n - corners) // size) for n in padded.shape]
     for place in np.ndindex(*counts):
-        block = padded[tuple(slice(8 * b, 8 * b + 8 + corners) for b in place)]
-        brick = [mi.Int32(b) for b in reversed(place)]
-        assert made.bound(brick, True)[0] == block.max()
-    outside = [mi.Int32(-1), mi.Int32(0), mi.Int32(0)]
-    assert made.bound(outside, True)[0] == 0
+        part = padded[tuple(slice(size * b, size * b + size + corners) for b in place)]
+        block = [mi.Int32(b) for b in reversed(place)]
+        assert bounds.of(block, True)[0] == part.max()
+    for outside in (-1, counts[2]):
+        block = [mi.Int32(outside), mi.Int32(0), mi.Int32(0)]
+        assert bounds.of(block, True)[0] == 0

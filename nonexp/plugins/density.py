@@ -11,7 +11,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-__all__ = ["BRICK", "Density", "Placement"]
+__all__ = ["BRICK", "Bounds", "Density", "Placement"]
 
 BRICK = 8
 """Cells along each side of a brick: a walk takes a brick of one density in one step."""
@@ -99,6 +99,42 @@ def _found(look: Any, box: Any) -> Placement:
     return Placement(to_unit, nearest=quarter[0] in (0.0, 1.0), repeats=bool(quarter[1] < 0.5))
 
 
+class Bounds:
+    """Upper bounds of a density in blocks of cells, cubes of ``size`` cells each.
+
+    Steps of null collisions end at their faces: large blocks have few faces, small ones tighter
+    bounds.
+    """
+
+    def __init__(self, density: Density, size: int) -> None:
+        bricks = np.abs(np.array(density.bricks)).reshape(density.brick_shape)
+        step = size // BRICK
+        padded = np.pad(bricks, [(0, -n % step) for n in bricks.shape])
+        depth, height, width = shape = tuple(n // step for n in padded.shape)
+        blocks = padded.reshape(depth, step, height, step, width, step).max(axis=(1, 3, 5))
+        self.size = size
+        self.across = float(blocks.mean()) * density.size
+        """integral of the bound from one side of the grid to another, on average"""
+        self.steps = float(np.mean(shape))
+        """blocks from one side to another, on average"""
+        self.values = mi.Float(blocks.ravel().tolist())
+        self.scale = _real(1 / size)
+        self.counts = [_whole(n) for n in (width, height, depth)]
+        self.strides = [_whole(n) for n in (1, width, width * height)]
+
+    def of(self, block: Sequence[Any], active: Any) -> Any:
+        """The bound in a block, by its place among all; zero beyond them."""
+        inside = mi.Bool(active)
+        for b, n in zip(block, self.counts, strict=True):
+            inside &= (b >= 0) & (b < n)
+        x, y, z = (b * s for b, s in zip(block, self.strides, strict=True))
+        return dr.gather(mi.Float, self.values, mi.UInt32(x + y + z), inside)
+
+    def arrays(self) -> list[Any]:
+        """All that kernels read."""
+        return [self.values, self.scale, *self.counts, *self.strides]
+
+
 class Density:
     """Density ``rho(x)`` of a medium on a grid, zero outside of it.
 
@@ -143,7 +179,7 @@ class Density:
         """voxel before the first one"""
         self.after = [_whole(end) for end in ends]
         """voxel after the last one"""
-        self.brick_counts = [_whole(n) for n in bricks]
+        self.brick_shape = tuple(reversed(bricks))
         self.brick_strides = [_whole(n) for n in (1, bricks[0], bricks[0] * bricks[1])]
         self.bricks = self._bricks(bricks)
         """density of each brick; where it is not constant, minus the largest one"""
@@ -159,7 +195,7 @@ class Density:
     def arrays(self) -> list[Any]:
         """All that kernels read, but the data of the volume."""
         rows = [number for row in self.rows for number in row]
-        sizes = [*self.strides, *self.brick_strides, *self.brick_counts]
+        sizes = [*self.strides, *self.brick_strides]
         return [
             *rows, *self.middle, *self.cells, self.low, *self.high, self.channel, *self.before,
             *self.after, *sizes, self.bricks,
@@ -169,11 +205,6 @@ class Density:
     def uniform(self) -> float:
         """Share of the bricks in which the density is constant."""
         return float(np.mean(np.array(self.bricks) >= 0))
-
-    @property
-    def bound_across(self) -> float:
-        """Bound of the density, integrated from one side of the grid to another, on average."""
-        return float(np.mean(np.abs(np.array(self.bricks)))) * self.size
 
     @property
     def steps_across(self) -> float:
@@ -193,13 +224,6 @@ class Density:
     def brick(self, cell: Sequence[Any], active: Any) -> Any:
         """Density of the brick around a cell; where it is not constant, minus the largest one."""
         return self._brick([c >> 3 for c in cell], active)
-
-    def bound(self, brick: Sequence[Any], active: Any) -> Any:
-        """Upper bound of the density in a brick, by its place among all; none beyond them."""
-        inside = mi.Bool(active)
-        for b, n in zip(brick, self.brick_counts, strict=True):
-            inside &= (b >= 0) & (b < n)
-        return dr.abs(self._brick(brick, inside))
 
     def _brick(self, brick: Sequence[Any], active: Any) -> Any:
         x, y, z = (b * s for b, s in zip(brick, self.brick_strides, strict=True))

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from nonexp.numerics.laplace import AliasTable
-from nonexp.plugins.density import Density
+from nonexp.plugins.density import BRICK, Bounds, Density
 from nonexp.transmittance import Transmittance
 from nonexp.transmittance.kinds import number
 
@@ -42,27 +42,37 @@ class Choice:
 
     extinctions: tuple[Any, Any] | None
     """of flights by null collisions, as :attr:`Transmittance.extinctions`; None for a walk"""
+    bounds: Bounds | None
+    """upper bounds of the density for these"""
     reason: str
 
     @staticmethod
     def of(wanted: str, density: Density, model: Transmittance, extinction: float) -> Choice:
         """The way for a grid with ``extinction`` where its density is 1, as the parameter
         ``tracking`` has it. ``ValueError`` if that cannot be."""
-        collisions = extinction * number(model.sigma_bar) * density.bound_across
-        steps = density.steps_across
+        rate = extinction * number(model.sigma_bar)
+        finest = Bounds(density, BRICK)
+        collisions, steps = rate * finest.across, density.steps_across
         why = f"tracking is {wanted!r}"
         if wanted == "auto":
             why = f"{collisions:.3g} tentative collisions across against {steps:.3g} cells"
         if wanted == "regular" or (wanted == "auto" and collisions >= _STEP * steps):
-            return Choice(None, why)
+            return Choice(None, None, why)
         extinctions = model.extinctions
         if extinctions is None and wanted == "delta":
             raise ValueError(
                 "tracking is 'delta': it must be 'regular' or 'auto' for a transmittance that is "
                 "no mixture of exponentials"
             )
-        return Choice(extinctions, why if extinctions else "the law is no mixture of exponentials")
+        if extinctions is None:
+            return Choice(None, None, "the law is no mixture of exponentials")
+        sizes = range(1, 5)
+        all_bounds = [finest, *(Bounds(density, BRICK << k) for k in sizes)]
+        best = min(all_bounds, key=lambda one: rate * one.across + _FACE * one.steps)
+        return Choice(extinctions, best, why)
 
 
+_FACE = 0.2
+"""Cost of a step that ends at the face of a block, in tentative collisions."""
 _STEP = 0.25
 """Measured cost of a step from cell to cell, in tentative collisions and the noise they add."""

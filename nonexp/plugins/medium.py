@@ -290,7 +290,7 @@ class NonexpHeterogeneous(NonexpMedium):
         self._seen: tuple[int, ...] = ()
         self._placement: Placement | None = None
         self._prepared: Any = None
-        self.choice = flights.Choice(None, "")
+        self.choice = flights.Choice(None, None, "")
         self._wanted = values.choice(props, "tracking", flights.TRACKING)
         if self.sigma_t.class_name() == "GridVolume":
             grids.check_density(self.sigma_t)
@@ -349,13 +349,16 @@ class NonexpHeterogeneous(NonexpMedium):
         assert self.density is not None
         largest = float(extinction.max() * np.array(self.scale)[0])
         choice = flights.Choice.of(self._wanted, self.density, self.model, largest)
-        if self._prepared is not self.model or self.choice.reason != choice.reason:
-            self._prepared, self.choice = self.model, choice
+        changed = self._prepared is not self.model or self.tracked != bool(choice.extinctions)
+        self.choice = choice
+        if changed:
+            self._prepared = self.model
             self.reach = dr.opaque(mi.Float, flights.reach(self.model))
             self.mixing = flights.mixing(choice.extinctions) if choice.extinctions else (None, None)
         # Where functions are frozen Dr.Jit looks for what they read here.
         tables = [array for law in self.mixing if law for array in law.arrays(mi.Float)]
-        self._held = [*self.density.arrays(), self.reach, *tables]
+        bounds = choice.bounds.arrays() if choice.bounds else []
+        self._held = [*self.density.arrays(), self.reach, *tables, *bounds]
 
     def intersect_aabb(self, ray: mi.Ray3f) -> tuple[mi.Bool, mi.Float, mi.Float]:
         if self.density is None:
