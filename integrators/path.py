@@ -34,7 +34,7 @@ class Flight:
     location: Any
     """the medium that the ray runs in"""
     from_particle: Any
-    """the flight began at a collision"""
+    """the flight began at a collision (with memory: :attr:`.media.Origin.start`)"""
     offset: Any
     """from the last event to the ray's origin, which stands off surfaces"""
     fresh: Any
@@ -47,6 +47,8 @@ class Flight:
     """integral of the density from where this flight began to the last event (likewise)"""
     balance: Any
     """weight of each channel, with mean 1 (chromatic extinction)"""
+    ahead: Any
+    """how the next flight begins if this one ends at a collision (with memory and null surfaces)"""
 
 
 @dataclass
@@ -120,6 +122,8 @@ class Arrival:
     """position"""
     carried: Any
     """throughput, with the balance of the channels"""
+    from_particle: Any
+    """how the next flight begins, as :attr:`Flight.from_particle`"""
     inside: Any = None
     """the flight was in a medium"""
     sigma_t: Any = None
@@ -136,6 +140,13 @@ class Arrival:
     """flown by null collisions"""
     balance: Any = None
     """weight of each channel"""
+    ahead: Any = None
+    """how the next flight would begin at a collision (with memory)"""
+
+    @property
+    def start(self) -> tuple[Any, ...]:
+        """That, at a collision, where media ask for it."""
+        return () if self.ahead is None else (self.ahead,)
 
 
 @dataclass
@@ -206,13 +217,14 @@ class Events:
         if media:
             flight = Flight(
                 location=media.at(mi.MediumPtr(medium)),
-                from_particle=mi.Bool(False),
+                from_particle=mi.UInt32(0) if media.remembers else mi.Bool(False),
                 offset=mi.Vector3f(0),
                 fresh=mi.Bool(True) if null else None,
                 tau=mi.Float(0) if null else None,
                 drawn=mi.Float(0) if null and chromatic else None,
                 flown=mi.Float(0) if null and chromatic else None,
                 balance=mi.UnpolarizedSpectrum(1) if chromatic else None,
+                ahead=mi.UInt32(0) if null and media.remembers else None,
             )
         if self.bent_hits:
             glass = Glass(mi.Point3f(0), mi.Bool(False), mi.Bool(False), mi.Bool(False))
@@ -253,7 +265,7 @@ class Events:
             s.radiance = dr.select(emission.lit, dr.fma(a.carried, emitted, s.radiance), s.radiance)
         if self.media and s.flight and self.media.any("emits"):
             mei = medium_interaction(s.d, a.ray, a.p)
-            light = self.media.ask("emitted", s.flight.location, mei, active=a.collided)
+            light = self.media.ask("emitted", s.flight.location, mei, *a.start, active=a.collided)
             s.radiance = dr.select(a.collided, dr.fma(a.carried, light, s.radiance), s.radiance)
         scattering = self.scatter(sampler, s, a, link.wo if link else mi.Vector3f(0, 0, 1))
         if link:
@@ -272,13 +284,22 @@ class Events:
         if not (media and flight):
             si, contact = self._intersect(ray, first, s.active)
             surface = first, last, ray, si, contact, si.bsdf()
-            return Arrival(*surface, mi.Bool(False), s.active, si.p, s.throughput)
+            collided = mi.Bool(False)
+            return Arrival(*surface, collided, s.active, si.p, s.throughput, collided)
 
         location = flight.location
         inside = s.active & media.inside(location)
         extinction = media.sigma_t(location, medium_interaction(s.d, ray))
         sigma_t = at_channel(extinction, self.hero) if self.chromatic else extinction
-        tau = drawn = media.flight(location, flight.from_particle, sampler, inside)
+        origin = media.origin(flight.from_particle, self.wavelengths, self.hero)
+        tau = drawn = media.flight(location, origin, sampler, inside)
+        ahead = None
+        if media.remembers:
+            u = sampler.next_1d(inside)
+            ahead = media.ask("ahead", location, origin, tau, u, active=inside)
+            origin.ahead = ahead = (
+                dr.select(flight.fresh, ahead, flight.ahead) if self.null else ahead
+            )
         if self.null:
             drawn = dr.select(flight.fresh, tau, flight.drawn) if self.chromatic else None
             tau = dr.select(flight.fresh, tau, flight.tau)
@@ -309,17 +330,16 @@ class Events:
         collided = inside & (t_collision <= si.t) & (t_collision <= s.far)
         p = dr.select(collided, _collision(s, flight, travelled, gap), si.p)
         surface = first, last, ray, si, contact, si.bsdf()
-        a = Arrival(*surface, collided, s.active & ~collided, p, s.throughput)
-        a.inside, a.sigma_t, a.tau, a.column, a.drawn, a.tracked = (
-            inside, sigma_t, tau, column, drawn, tracked,
+        begins = collided if ahead is None else dr.select(collided, ahead, 0)
+        a = Arrival(*surface, collided, s.active & ~collided, p, s.throughput, begins)
+        a.inside, a.sigma_t, a.tau, a.column, a.drawn, a.tracked, a.ahead = (
+            inside, sigma_t, tau, column, drawn, tracked, ahead,
         )  # fmt: skip
         if self.chromatic:
             a.reached = column + flight.flown if self.null else column
             relative = extinction / dr.select(sigma_t > 0, sigma_t, 1)
             depths = dr.select(collided, relative * drawn, optical_depth(extinction, a.reached))
-            densities = media.ask(
-                "densities", location, flight.from_particle, collided, depths, relative, drawn
-            )
+            densities = media.ask("densities", location, origin, collided, depths, relative, drawn)
             if media.tracks:
                 densities *= tracked_balance
             a.balance = dr.select(inside, balanced(flight.balance, densities), flight.balance)
@@ -398,7 +418,7 @@ class Events:
             leaving = partial(self._behind, a, location)
         else:
             leaving = partial(_stay, location)
-        start = Start(vertex, leaving, a.collided)
+        start = Start(vertex, leaving, a.from_particle)
         useful = dr.any(scattering.value != 0)
         light = self.nee.arriving(link, start, sampler, useful)
         return a.carried * scattering.value * light * link.weight(scattering.value_pdf)
@@ -418,7 +438,9 @@ class Events:
         if self.media and s.flight:
             location = s.flight.location
             mei = medium_interaction(s.d, a.ray, a.p)
-            m = self.media.ask("scatter", location, mei, wo, u1, u2, active=collided & ~a.last)
+            m = self.media.ask(
+                "scatter", location, mei, wo, u1, u2, *a.start, active=collided & ~a.last
+            )
             value = dr.select(collided, m.albedo * m.value, value)
             value_pdf = dr.select(collided, m.pdf, value_pdf)
             weight = dr.select(collided, m.albedo * m.weight, weight)
@@ -517,6 +539,7 @@ class Events:
         fresh = flight.fresh
         if self.null:
             fresh = flight.fresh = scattered | (beyond != flight.location)
+            flight.ahead = a.ahead
             flight.tau = dr.maximum(a.tau - a.sigma_t * a.column, 0)
         if self.chromatic:
             balance = a.balance
@@ -527,9 +550,9 @@ class Events:
                 balance = dr.select(done, balance, flight.balance)
             flight.balance = mi.UnpolarizedSpectrum(balance)
         if self.null and self.chromatic:
-            flight.from_particle = dr.select(fresh, a.collided, flight.from_particle)
+            flight.from_particle = dr.select(fresh, a.from_particle, flight.from_particle)
         else:
-            flight.from_particle = a.collided
+            flight.from_particle = a.from_particle
         flight.location = beyond
 
 

@@ -21,20 +21,25 @@ _SHARED = ("sigma_t", "scale", "albedo", "emission", "sample_emitters", "has_spe
 
 
 class NonexpMedium(mi.Medium):
-    """What both media share. Subclasses add what extinction is made of."""
+    """What all media share. Subclasses add what extinction is made of."""
 
     plugin: ClassVar[str]
     own: ClassVar[tuple[str, ...]]
-    """parameters beside those that both have"""
+    """parameters beside those that all have"""
+    nested: ClassVar[tuple[str, ...]] = ("transmittance", "phase_function")
+    """plugins within, which check their own values"""
 
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
-        self.transmittance = self._law(props)
+        self._read(props)
         self.scale = mi.Float(values.number(props, "scale", 1.0))
-        self.albedo = values.volume(props, "albedo", 0.75)
-        self.emission = values.source(props, "emission")
         self.m_has_spectral_extinction = props.get("has_spectral_extinction", True)
         self._accepted: dict[str, Any] = {}  # the last values that were not refused
+
+    def _read(self, props: mi.Properties) -> None:
+        self.transmittance = self._law(props)
+        self.albedo = values.volume(props, "albedo", 0.75)
+        self.emission: Any = values.source(props, "emission")
 
     def _law(self, props: mi.Properties) -> Any:
         """The nested law. Raises ``ValueError`` for parameters that the plugin does not have."""
@@ -128,28 +133,24 @@ class NonexpMedium(mi.Medium):
     def _check(self) -> None:
         """Check all values; if they are refused, restore the last accepted ones."""
         parameters = mi.traverse(self)
-        others = ("transmittance", "phase_function")
-        own = [k for k in parameters.keys() if k.split(".")[0] not in others]
+        own = [k for k in parameters.keys() if k.split(".")[0] not in self.nested]
         try:
-            extinction, emission = self._check_values()
+            chromatic, emission = self._check_values()
         except ValueError:
             if self._accepted:
                 for key, value in self._accepted.items():
                     parameters[key] = value
                 parameters.update()
             raise
-        self._chromatic, self._emits = not grey(extinction), bool(np.any(emission > 0))
+        self._chromatic, self._emits = chromatic, bool(np.any(emission > 0))
         dr.make_opaque(self.scale)
         # Arrays are shared until somebody changes them: this copies no grid.
         self._accepted = {key: type(parameters[key])(parameters[key]) for key in own}
 
-    def _check_values(self) -> tuple[Any, Any]:
-        """Extinction and emission, over channels or wavelengths; ``ValueError`` if some value is
-        refused."""
-        scale = np.array(self.scale)
-        if scale.size != 1:
-            raise ValueError(f"scale holds {scale.size} numbers: it must be one")
-        values.check_range("scale", scale, dr.inf)
+    def _check_values(self) -> tuple[bool, Any]:
+        """Whether extinction differs between channels or wavelengths, and the emission over them;
+        ``ValueError`` if some value is refused."""
+        scale = values.check_one("scale", self.scale)
         extinction = self._check_extinction(scale)
         values.check_range("albedo", values.values_of("albedo", self.albedo), 1.0)
         emission = np.zeros(1)
@@ -157,7 +158,7 @@ class NonexpMedium(mi.Medium):
             emission = values.values_of("emission", self.emission)
             values.check_range("emission", emission, dr.inf)
         values.check_microflakes(self.phase_function())
-        return extinction, emission
+        return not grey(extinction), emission
 
     def _check_extinction(self, scale: Any) -> Any:
         raise NotImplementedError
@@ -168,7 +169,7 @@ class NonexpMedium(mi.Medium):
         return mi.Bool(True), mi.Float(0), mi.Float(dr.inf)
 
     def get_majorant(self, mei: mi.MediumInteraction3f, active: Any = True) -> mi.Spectrum:
-        _warn_counterpart(self.plugin)
+        warn_counterpart(self.plugin)
         return mi.UnpolarizedSpectrum(self.extinction(mei) * self.model.sigma_bar) & active
 
     def get_scattering_coefficients(
@@ -237,7 +238,7 @@ class NonexpHomogeneous(NonexpMedium):
         return self.sigma_t.eval(mei) * (self.scale * self._factor)
 
     def _check_extinction(self, scale: Any) -> Any:
-        return _check_product("sigma_t", self.sigma_t, self._factor, scale)
+        return values.check_product("sigma_t", self.sigma_t, self._factor, scale)
 
 
 class NonexpHeterogeneous(NonexpMedium):
@@ -311,9 +312,9 @@ class NonexpHeterogeneous(NonexpMedium):
         callback.put("extinction", self.coefficient, mi.ParamFlags.Differentiable)
 
     def _check_extinction(self, scale: Any) -> Any:
-        extinction = _check_product("extinction", self.coefficient, self._factor, scale)
+        extinction = values.check_product("extinction", self.coefficient, self._factor, scale)
         if self._placement is None:
-            return extinction * _check_product("sigma_t", self.sigma_t, 1.0, scale)
+            return extinction * values.check_product("sigma_t", self.sigma_t, 1.0, scale)
         data = mi.traverse(self.sigma_t)["data"]
         if insides.variables(data) != self._seen:
             most = grids.check_density(self.sigma_t)
@@ -374,19 +375,10 @@ class NonexpHeterogeneous(NonexpMedium):
         return f"  extinction = {self.coefficient},\n"
 
 
-def _check_product(name: str, volume: mi.Volume, factor: float, scale: Any) -> Any:
-    """Values of a volume over channels or wavelengths; with ``scale`` they must be finite."""
-    spectrum = values.spectrum_of(name, volume) * factor
-    values.check_range(name, spectrum, dr.inf)
-    with np.errstate(over="ignore"):
-        values.check_range(f"{name} * scale", spectrum * scale, dr.inf)
-    return spectrum
-
-
 _warned = False
 
 
-def _warn_counterpart(plugin: str) -> None:
+def warn_counterpart(plugin: str) -> None:
     global _warned
     if not _warned:
         _warned = True
