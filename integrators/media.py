@@ -222,8 +222,7 @@ class Entry(ABC):
     ) -> Scatter:
         """Phase function towards ``wo`` and a sampled direction, at collisions ``mei``, of which
         flights begin with ``start`` (as :attr:`Origin.start`)."""
-        albedo = self.albedo(mei, active)
-        return self._scatter(self.pointer.phase_function(), albedo, mei, wo, u1, u2, active)
+        return self._scatter(self.pointer.phase_function(), self.albedo, mei, wo, u1, u2, active)
 
     def _scatter(
         self, phase: Any, albedo: Any, mei: Any, wo: Any, u1: Any, u2: Any, active: Any
@@ -231,7 +230,7 @@ class Entry(ABC):
         context = mi.PhaseFunctionContext(None)
         value, pdf = phase.eval_pdf(context, mei, wo, active)
         sampled, weight, sampled_pdf = phase.sample(context, mei, u1, u2, active)
-        return Scatter(albedo, value, pdf, sampled, weight, sampled_pdf)
+        return Scatter(albedo(mei, active), value, pdf, sampled, weight, sampled_pdf)
 
     def emitted(self, mei: Any, start: Any = None, active: Any = True) -> Any:
         """Light that collisions ``mei`` add to their paths."""
@@ -341,7 +340,7 @@ class Binary(Homogeneous):
     def scatter(
         self, mei: Any, wo: Any, u1: Any, u2: Any, start: Any = None, active: Any = True
     ) -> Scatter:
-        albedo = self.pointer.eval_albedo_of(start == 2, mei, active)
+        albedo = partial(self.pointer.eval_albedo_of, start == 2)
         found = [
             self._scatter(phase, albedo, mei, wo, u1, u2, active) for phase in self.pointer.phases
         ]
