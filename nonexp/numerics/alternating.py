@@ -72,14 +72,14 @@ class Alternation:
 
     def survival(self, start: Any, t: Any) -> Any:
         """Probability that no collision happens up to a distance."""
-        weight, (kept, left) = self._weights(start), self._shapes(t)
-        both = weight[0] * (kept[0] + left[0]) + weight[1] * (kept[1] + left[1])
-        return both * dr.exp(-self._decay(t))
+        first, second = self._row(start, t)
+        return (first + second) * dr.exp(-self._decay(t))
 
     def density(self, start: Any, end: Any, t: Any) -> Any:
         """Density of the first collision at a distance, in material ``end`` (0 or 1)."""
-        first, second = self._relative(start, t)
-        return select(end == 1, second, first) * dr.exp(-self._decay(t))
+        first, second = self._row(start, t)
+        probability = select(end == 1, second, first) * dr.exp(-self._decay(t))
+        return select(end == 1, self.sigma[1], self.sigma[0]) * probability
 
     def flight(self, start: Any, u: Any, u_fast: Any, u_slow: Any) -> Any:
         """Distance of the first collision, from random numbers in [0, 1).
@@ -89,12 +89,14 @@ class Alternation:
         the probability.
         """
         done = u * self.fast < self.mean_extinction(start)
-        step = select(self.slow > 0, -log1p(-u_slow) / self.slow, dr.inf)
-        return -log1p(-u_fast) / self.fast + select(done, 0, step)
+        ends = self.slow > 0
+        step = select(ends, -log1p(-u_slow) / select(ends, self.slow, 1.0), dr.inf)
+        return -log1p(-u_fast) / self.fast + select(done, 0.0, step)
 
     def material(self, start: Any, t: Any, u: Any) -> Any:
         """Whether a first collision at a distance is one in the second material."""
-        first, second = self._relative(start, t)
+        first, second = self._row(start, t)
+        first, second = first * (self.sigma[0] / self.fast), second * (self.sigma[1] / self.fast)
         return u * (first + second) >= first
 
     def _weights(self, start: Any) -> tuple[Any, Any]:
@@ -106,20 +108,15 @@ class Alternation:
     def _decay(self, t: Any) -> Any:
         return select(self.slow > 0, self.slow * t, 0.0)  # zero times infinity is not a number
 
-    def _shapes(self, t: Any) -> tuple[tuple[Any, Any], tuple[Any, Any]]:
-        """Entries of exp(Q t) over the slow exponential: those on the diagonal, the others."""
-        gone = -expm1(-self.gap * t)
-        rest = dr.exp(-self.gap * t)
+    def _row(self, start: Any, t: Any) -> tuple[Any, Any]:
+        """Probabilities to be in each material, not having collided, over the slow exponential."""
+        weight, gone, rest = self._weights(start), -expm1(-self.gap * t), dr.exp(-self.gap * t)
         kept = (
             self.lasting[0] + self.lasting[1] * rest,
             self.lasting[1] + self.lasting[0] * rest,
         )
-        return kept, (self.rate[0] / self.gap * gone, self.rate[1] / self.gap * gone)
-
-    def _relative(self, start: Any, t: Any) -> tuple[Any, Any]:
-        """Densities of a collision in each material over the slow exponential."""
-        weight, (kept, left) = self._weights(start), self._shapes(t)
+        changed = self.rate[0] / self.gap * gone, self.rate[1] / self.gap * gone
         return (
-            self.sigma[0] * (weight[0] * kept[0] + weight[1] * left[1]),
-            self.sigma[1] * (weight[0] * left[0] + weight[1] * kept[1]),
+            weight[0] * kept[0] + weight[1] * changed[1],
+            weight[0] * changed[0] + weight[1] * kept[1],
         )
