@@ -219,6 +219,7 @@ def test_scenes_are_chosen_by_name() -> None:
         "fog_sphere-gamma",
         "slab-exponential",
         "slab-linear",
+        "slab-memory",
     ]
     with pytest.raises(ValueError, match="'moon': it must be one of dragon"):
         cases(("moon",))
