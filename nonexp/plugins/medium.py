@@ -406,7 +406,7 @@ class NonexpBinaryMixture(NonexpMedium):
     Mitsuba's own integrators see the exponential medium of the same mean extinction and mean
     scattering (chords so short that they cannot be told apart), without its emission. Bad values
     raise ``ValueError`` when the scene is loaded and at ``params.update()``, which then leaves the
-    medium as it was.
+    medium as it was. Images have no derivatives by these parameters.
     """
 
     plugin = "nonexp_binary_mixture"
@@ -489,7 +489,7 @@ class NonexpBinaryMixture(NonexpMedium):
     # ------------------------------------------------------------- Mitsuba's parameters
 
     def traverse(self, callback: mi.TraversalCallback) -> None:
-        flag = mi.ParamFlags.Differentiable
+        flag = mi.ParamFlags.NonDifferentiable
         callback.put("scale", self.scale, flag)
         for name in ("sigma_t", "chord", "albedo", "emission"):
             for i, value in enumerate(getattr(self, name)):
