@@ -54,11 +54,12 @@ class Twin:
         self.entry, self.kinds = entry, kinds
         pointer = entry.pointer
         with dr.resume_grad():
-            extinction = getattr(pointer, "extinction", None)
-            self._extinction = extinction or stock_extinction(pointer, entry.chromatic)
             self._constant = None
-            if entry.constant:
-                self._constant = leaves.of(self._extinction(somewhere()))
+            if self.scores:
+                extinction = getattr(pointer, "extinction", None)
+                self._extinction = extinction or stock_extinction(pointer, entry.chromatic)
+                if entry.constant:
+                    self._constant = leaves.of(self._extinction(somewhere()))
             self._model = entry.model
             if "law" in kinds:
                 self._model = arrays_replaced(entry.model, leaves.of)
@@ -203,6 +204,11 @@ class Adjoint:
         for entry in media.entries if media else ():
             kinds = self.wanted.media.get(id(entry.pointer), frozenset())
             self.twins.append(Twin(entry, kinds, self.leaves))
+        if media and media.remembers and any(twin.kinds for twin in self.twins):
+            raise ValueError(
+                "no derivative by parameters of media in a scene with a medium that has memory: "
+                "use nonexp.inverse.differences"
+            )
 
     def start(self) -> Any:
         """The derivative that a path has collected; None in backward mode."""

@@ -28,7 +28,7 @@ class Start:
     location: Callable[[Any], Any]
     """the medium in which a ray leaves in a given direction"""
     from_particle: Any
-    """it is a collision"""
+    """it is a collision (with memory: :attr:`.media.Origin.start`)"""
 
 
 @dataclass
@@ -335,13 +335,14 @@ class Connections:
                 along = vertex.p, line.distance
                 shares.append(partial(self._count_one, media, d, vertex, (*counted, *along)))
             tau = optical_depth(sigma_t, distance)
-            survival = media.ask("survival", location, start.from_particle, tau)
+            origin = media.origin(start.from_particle, vertex.wavelengths)
+            survival = media.ask("survival", location, origin, tau)
             if media.tracks:
                 tracked = active & media.where("tracked", location)
                 onward = mi.Ray3f(vertex.p, d, vertex.time, vertex.wavelengths)
                 thinning = mi.Float(1)
                 if media.thins:
-                    thinning = media.flight(location, start.from_particle, sampler, tracked)
+                    thinning = media.flight(location, origin, sampler, tracked)
                 survival *= tracking.transmittance(
                     media, location, onward, line.distance, thinning, sampler, tracked
                 )
@@ -431,7 +432,8 @@ class Connections:
                     )
                 beyond = media.behind(si, hit, s.location, s.ray.d, contact)
                 left = beyond != s.location
-                survival = media.ask("survival", s.location, s.from_particle, s.tau)
+                origin = media.origin(s.from_particle, vertex.wavelengths)
+                survival = media.ask("survival", s.location, origin, s.tau)
                 s.transmittance = dr.select(
                     left & inside, s.transmittance * survival, s.transmittance
                 )
@@ -445,7 +447,8 @@ class Connections:
                 s.tau = type(s.tau)(dr.select(left, 0, s.tau))
                 s.from_particle &= ~left
                 if media.thins:
-                    drawn = media.flight(beyond, False, sampler, hit & left)
+                    entered = media.origin(False, vertex.wavelengths)
+                    drawn = media.flight(beyond, entered, sampler, hit & left)
                     s.thinning = dr.select(left, drawn, s.thinning)
                 s.location = beyond
                 s.start = si.p
@@ -462,13 +465,14 @@ class Connections:
 
         thinning = mi.Float(1)
         if media and media.thins:
-            thinning = media.flight(start.location(d), start.from_particle, sampler, active)
+            origin = media.origin(start.from_particle, vertex.wavelengths)
+            thinning = media.flight(start.location(d), origin, sampler, active)
         state = _Ray(
             ray=ray,
             start=mi.Point3f(vertex.p) if media else None,
             location=start.location(d) if media else None,
             tau=mi.UnpolarizedSpectrum(0) if media and media.chromatic else mi.Float(0),
-            from_particle=mi.Bool(start.from_particle),
+            from_particle=type(start.from_particle)(start.from_particle),
             thinning=thinning,
             transmittance=mi.Spectrum(1),
             left=dr.dot(line.p - vertex.p, d),
@@ -485,7 +489,8 @@ class Connections:
         if not media:
             return end.transmittance, None
         within = media.inside(end.location)
-        survival = media.ask("survival", end.location, end.from_particle, end.tau)
+        origin = media.origin(end.from_particle, vertex.wavelengths)
+        survival = media.ask("survival", end.location, origin, end.tau)
         passed = dr.select(within, end.transmittance * survival, end.transmittance)
         if visit:
             there = active & within

@@ -21,6 +21,7 @@ import mitsuba as mi
 import numpy as np
 
 from nonexp import models
+from nonexp.numerics.alternating import Alternation
 from nonexp.numerics.laplace import AliasTable
 from nonexp.plugins.density import Bounds, Density
 from nonexp.plugins.spectra import grey, somewhere, visible
@@ -29,6 +30,7 @@ from nonexp.transmittance import Draw, Transmittance
 from . import walk
 from .jit import Numbering, opaque, recording
 from .rays import Contact
+from .spectral import channels
 
 
 def medium_interaction(
@@ -55,6 +57,25 @@ def optical_depth(sigma_t: Any, distance: Any) -> Any:
 
 
 @dataclass
+class Origin:
+    """Where a flight began, in scenes where some medium remembers its material."""
+
+    start: Any
+    """0 at a fixed point; at a collision 1, or 2 if that is in the second material"""
+    hero: Any
+    """channel that draws flights (chromatic extinction)"""
+    wavelengths: Any
+    """of the path"""
+    ahead: Any = None
+    """where the next flight begins, if this one ends at a collision, as ``start``"""
+
+
+def at_particle(origin: Any) -> Any:
+    """Whether a flight began at a collision; ``origin`` says just that where nothing remembers."""
+    return origin.start != 0 if isinstance(origin, Origin) else origin
+
+
+@dataclass
 class Scatter:
     """Phase function at a collision, evaluated and sampled, with the medium's albedo."""
 
@@ -68,7 +89,11 @@ class Scatter:
 
 @dataclass(frozen=True)
 class Entry(ABC):
-    """One medium of a scene. ``active``, last in all methods, is the mask of an indirect call."""
+    """One medium of a scene. ``active``, last in all methods, is the mask of an indirect call.
+
+    ``from_particle`` says whether a flight began at a collision; where some medium of the scene
+    remembers its material it is an :class:`Origin`.
+    """
 
     pointer: Any
     """the medium in Mitsuba"""
@@ -118,6 +143,11 @@ class Entry(ABC):
         return self.emission is not None
 
     @property
+    def remembers(self) -> bool:
+        """Paths carry its material from collision to collision."""
+        return isinstance(self, Binary)
+
+    @property
     def samples(self) -> bool:
         """Collisions use next-event estimation, where it can succeed."""
         return bool(self.pointer.use_emitter_sampling())
@@ -152,6 +182,11 @@ class Entry(ABC):
         one that drew it; ``drawn``: its optical depth, if it ``collided``.
         """
 
+    def ahead(self, origin: Origin, tau: Any, u: Any, active: Any) -> Any:
+        """Where the next flight begins, as :attr:`Origin.start`, if this one collides at ``tau``:
+        from a random number ``u``."""
+        return mi.UInt32(1)
+
     def distance(self, o: Any, d: Any, length: Any, column: Any, active: Any) -> tuple[Any, Any]:
         """Distance along a ray over which the density integrates to ``column``, if it is not beyond
         ``length``; and the integral up to there, or to ``length``. Without units where tracked."""
@@ -182,14 +217,22 @@ class Entry(ABC):
     def coefficients(self, mei: Any, majorant: Any, active: Any) -> tuple[Any, Any]:
         """If tracked: coefficients of null collisions, up to a majorant, and of extinction."""
 
-    def scatter(self, mei: Any, wo: Any, u1: Any, u2: Any, active: Any) -> Scatter:
-        """Phase function towards ``wo`` and a sampled direction, at collisions ``mei``."""
-        context, phase = mi.PhaseFunctionContext(None), self.pointer.phase_function()
+    def scatter(
+        self, mei: Any, wo: Any, u1: Any, u2: Any, start: Any = None, active: Any = True
+    ) -> Scatter:
+        """Phase function towards ``wo`` and a sampled direction, at collisions ``mei``, of which
+        flights begin with ``start`` (as :attr:`Origin.start`)."""
+        return self._scatter(self.pointer.phase_function(), self.albedo, mei, wo, u1, u2, active)
+
+    def _scatter(
+        self, phase: Any, albedo: Any, mei: Any, wo: Any, u1: Any, u2: Any, active: Any
+    ) -> Scatter:
+        context = mi.PhaseFunctionContext(None)
         value, pdf = phase.eval_pdf(context, mei, wo, active)
         sampled, weight, sampled_pdf = phase.sample(context, mei, u1, u2, active)
-        return Scatter(self.albedo(mei, active), value, pdf, sampled, weight, sampled_pdf)
+        return Scatter(albedo(mei, active), value, pdf, sampled, weight, sampled_pdf)
 
-    def emitted(self, mei: Any, active: Any) -> Any:
+    def emitted(self, mei: Any, start: Any = None, active: Any = True) -> Any:
         """Light that collisions ``mei`` add to their paths."""
         if self.emission is None:
             return mi.UnpolarizedSpectrum(0)
@@ -205,11 +248,14 @@ class Homogeneous(Entry):
 
     def flight(self, from_particle: Any, numbers: Sequence[Any], active: Any) -> Any:
         # A lane uses only one of the two laws: both take the same numbers.
+        from_particle = at_particle(from_particle)
         p = self.model.sample_p(iter(numbers).__next__)
         f = self.model.sample_f(iter(numbers).__next__)
         return dr.select(from_particle, mi.Float(p), mi.Float(f))
 
     def survival(self, from_particle: Any, tau: Any, active: Any) -> Any:
+        from_particle = at_particle(from_particle)
+
         def of(tau: Any) -> Any:
             return dr.select(from_particle, self.model.pf(tau), self.model.ff(tau))
 
@@ -218,7 +264,7 @@ class Homogeneous(Entry):
     def densities(
         self, from_particle: Any, collided: Any, tau: Any, own: Any, drawn: Any, active: Any
     ) -> Any:
-        model = self.model
+        model, from_particle = self.model, at_particle(from_particle)
         atom = mi.Bool(False)
         for where, probability in model.atoms:
             # Samplers return an atom as it is, and reach its value otherwise with chance zero.
@@ -237,6 +283,74 @@ class Homogeneous(Entry):
 
     def coefficients(self, mei: Any, majorant: Any, active: Any) -> tuple[Any, Any]:
         return mi.UnpolarizedSpectrum(0), mi.UnpolarizedSpectrum(0)
+
+
+@dataclass(frozen=True)
+class Binary(Homogeneous):
+    """A mixture of two materials with memory.
+
+    Its ``extinction`` is 1: depths are distances. Changes of the material along a flight are no
+    events, but summed over in closed form; the material at its end is drawn with that.
+    """
+
+    processes: Callable[[Any], Sequence[Alternation]]
+    """collisions along a ray at some wavelengths: one for all channels, or one for each"""
+
+    @property
+    def draws(self) -> int:
+        return 3
+
+    def _of_hero(self, origin: Origin) -> Alternation:
+        found, *others = self.processes(origin.wavelengths)
+        if origin.hero is None:
+            return found
+        for channel, process in enumerate(others, 1):
+            found = dr.select(origin.hero == channel, process, found)
+        return found
+
+    def _spectrum(self, origin: Origin, value: Callable[[Alternation], Any]) -> Any:
+        """A spectrum of what each channel's process has for ``value``."""
+        found = [value(process) for process in self.processes(origin.wavelengths)]
+        return mi.UnpolarizedSpectrum(found[0] if len(found) == 1 else found)
+
+    def flight(self, from_particle: Any, numbers: Sequence[Any], active: Any) -> Any:
+        return self._of_hero(from_particle).flight(from_particle.start, *numbers[:3])
+
+    def ahead(self, origin: Origin, tau: Any, u: Any, active: Any) -> Any:
+        second = self._of_hero(origin).material(origin.start, tau, u)
+        return dr.select(second, mi.UInt32(2), 1)
+
+    def survival(self, from_particle: Any, tau: Any, active: Any) -> Any:
+        start = from_particle.start
+        if dr.depth_v(tau) == 1:
+            return self._of_hero(from_particle).survival(start, tau)
+        return self._spectrum(from_particle, lambda process: process.survival(start, tau[0]))
+
+    def densities(
+        self, from_particle: Any, collided: Any, tau: Any, own: Any, drawn: Any, active: Any
+    ) -> Any:
+        start, end = from_particle.start, from_particle.ahead - 1
+
+        def of(process: Alternation) -> Any:
+            density = process.density(start, end, tau[0])
+            return dr.select(collided, density, process.survival(start, tau[0]))
+
+        return self._spectrum(from_particle, of)
+
+    def scatter(
+        self, mei: Any, wo: Any, u1: Any, u2: Any, start: Any = None, active: Any = True
+    ) -> Scatter:
+        albedo = partial(self.pointer.eval_albedo_of, start == 2)
+        found = [
+            self._scatter(phase, albedo, mei, wo, u1, u2, active) for phase in self.pointer.phases
+        ]
+        return dr.select(start == 2, found[1], found[0]) if len(found) == 2 else found[0]
+
+    def emitted(self, mei: Any, start: Any = None, active: Any = True) -> Any:
+        absorbed = 1 - self.pointer.eval_albedo_of(start == 2, mei, active)
+        return mi.UnpolarizedSpectrum(
+            absorbed * self.pointer.eval_emission_of(start == 2, mei, active)
+        )
 
 
 @dataclass(frozen=True)
@@ -321,7 +435,7 @@ class TrackedGrid(Tracked):
         if not (self.law_f and self.law_p):
             return mi.Float(1)
         u1, u2 = numbers[:2]
-        return dr.select(from_particle, self.law_p(u1, u2), self.law_f(u1, u2))
+        return dr.select(at_particle(from_particle), self.law_p(u1, u2), self.law_f(u1, u2))
 
     def bounds(self, ray: Any, active: Any) -> tuple[Any, Any, Any]:
         near, far = walk.interval(self.density, ray.o, ray.d)
@@ -342,6 +456,8 @@ class TrackedGrid(Tracked):
 
 def entry_of(pointer: Any, sealed: bool, regular: bool = False) -> Entry | None:
     """The entry of a medium; None where nothing ever collides. ``regular``: grids are walked."""
+    if getattr(pointer, "remembers", False):
+        return _binary(pointer, sealed)
     model = getattr(pointer, "model", None)
     if model is not None:
         if isinstance(model.sigma_bar, float) and model.sigma_bar == 0:
@@ -377,6 +493,27 @@ def entry_of(pointer: Any, sealed: bool, regular: bool = False) -> Entry | None:
     return TrackedGrid(
         pointer, model, unit, albedo, sealed, chromatic, True, emission, None, density, extinction,
         pointer.choice.bounds, *pointer.mixing,
+    )  # fmt: skip
+
+
+def _binary(pointer: Any, sealed: bool) -> Entry | None:
+    def processes(wavelengths: Any) -> list[Alternation]:
+        extinctions = pointer.extinctions(somewhere(wavelengths))
+        if not pointer.chromatic:
+            return [Alternation.of(extinctions, pointer.chord)]
+        first, second = extinctions
+        return [Alternation.of((first[k], second[k]), pointer.chord) for k in range(channels())]
+
+    found = processes
+    if not (pointer.chromatic and mi.is_spectral):
+        if all(map(_vanishes, pointer.extinctions())):
+            return None
+        constant = processes(550.0)
+        dr.make_opaque(constant)
+        found = partial(_always, constant)
+    return Binary(
+        pointer, models.create("exponential"), partial(_always, mi.Float(1)), pointer.eval_albedo,
+        sealed, pointer.chromatic, True, pointer.eval_emission if pointer.emits else None, found,
     )  # fmt: skip
 
 
@@ -477,6 +614,8 @@ class Media(ABC):
         """Of these, some draw a factor on the extinction."""
         self.walks = self.any("walked")
         """Flights through some medium walk through a grid."""
+        self.remembers = self.any("remembers")
+        """Paths through some medium carry its material."""
         self._draws = max(entry.draws for entry in entries)
 
     def any(self, fact: str) -> bool:
@@ -576,6 +715,13 @@ class Media(ABC):
         # A sampler cannot be advanced behind an indirect call: the numbers are drawn here.
         numbers = [sampler.next_1d(active) for _ in range(self._draws)]
         return self.ask("flight", location, from_particle, numbers, active=active)
+
+    def origin(self, start: Any, wavelengths: Any, hero: Any = None) -> Any:
+        """What is asked of flights from ``start``: that itself, whether they began at a collision,
+        or with memory an :class:`Origin`."""
+        if not self.remembers:
+            return start
+        return Origin(mi.UInt32(start), hero, wavelengths if mi.is_spectral else None)
 
     def _spread(self, extinction: Any) -> Any:
         """An extinction as this scene needs it: a number, or a spectrum."""

@@ -35,7 +35,7 @@ class Flight:
     location: Any
     """the medium that the ray runs in"""
     from_particle: Any
-    """the flight began at a collision"""
+    """the flight began at a collision (with memory: :attr:`.media.Origin.start`)"""
     offset: Any
     """from the last event to the ray's origin, which stands off surfaces"""
     fresh: Any
@@ -50,6 +50,8 @@ class Flight:
     """weight of each channel, with mean 1 (chromatic extinction)"""
     began: Any
     """where it did (with null surfaces, while paths are replayed)"""
+    ahead: Any
+    """how the next flight begins if this one ends at a collision (with memory and null surfaces)"""
 
 
 @dataclass
@@ -125,6 +127,8 @@ class Arrival:
     """position"""
     carried: Any
     """throughput, with the balance of the channels"""
+    from_particle: Any
+    """how the next flight begins, as :attr:`Flight.from_particle`"""
     inside: Any = None
     """the flight was in a medium"""
     sigma_t: Any = None
@@ -141,6 +145,13 @@ class Arrival:
     """flown by null collisions"""
     balance: Any = None
     """weight of each channel"""
+    ahead: Any = None
+    """how the next flight would begin at a collision (with memory)"""
+
+    @property
+    def start(self) -> tuple[Any, ...]:
+        """That, at a collision, where media ask for it."""
+        return () if self.ahead is None else (self.ahead,)
 
 
 @dataclass
@@ -219,7 +230,7 @@ class Events:
         if media:
             flight = Flight(
                 location=media.at(mi.MediumPtr(medium)),
-                from_particle=mi.Bool(False),
+                from_particle=mi.UInt32(0) if media.remembers else mi.Bool(False),
                 offset=mi.Vector3f(0),
                 fresh=mi.Bool(True) if null else None,
                 tau=mi.Float(0) if null else None,
@@ -227,6 +238,7 @@ class Events:
                 flown=mi.Float(0) if null and self.keeps else None,
                 balance=mi.UnpolarizedSpectrum(1) if chromatic else None,
                 began=mi.Point3f(ray.o) if null and self.adjoint else None,
+                ahead=mi.UInt32(0) if null and media.remembers else None,
             )
         if self.bent_hits:
             glass = Glass(mi.Point3f(0), mi.Bool(False), mi.Bool(False), mi.Bool(False))
@@ -274,7 +286,7 @@ class Events:
             s.radiance = dr.select(emission.lit, dr.fma(a.carried, emitted, s.radiance), s.radiance)
         if self.media and s.flight and self.media.any("emits"):
             mei = medium_interaction(s.d, a.ray, a.p)
-            light = self.media.ask("emitted", s.flight.location, mei, active=a.collided)
+            light = self.media.ask("emitted", s.flight.location, mei, *a.start, active=a.collided)
             s.radiance = dr.select(a.collided, dr.fma(a.carried, light, s.radiance), s.radiance)
             if record:
                 record.glow = a.carried, s.flight.location, mei, a.collided
@@ -301,13 +313,22 @@ class Events:
         if not (media and flight):
             si, contact = self._intersect(ray, first, s.active)
             surface = first, last, ray, si, contact, si.bsdf()
-            return Arrival(*surface, mi.Bool(False), s.active, si.p, s.throughput)
+            collided = mi.Bool(False)
+            return Arrival(*surface, collided, s.active, si.p, s.throughput, collided)
 
         location = flight.location
         inside = s.active & media.inside(location)
         extinction = media.sigma_t(location, medium_interaction(s.d, ray))
         sigma_t = at_channel(extinction, self.hero) if self.chromatic else extinction
-        tau = drawn = media.flight(location, flight.from_particle, sampler, inside)
+        origin = media.origin(flight.from_particle, self.wavelengths, self.hero)
+        tau = drawn = media.flight(location, origin, sampler, inside)
+        ahead = None
+        if media.remembers:
+            u = sampler.next_1d(inside)
+            ahead = media.ask("ahead", location, origin, tau, u, active=inside)
+            origin.ahead = ahead = (
+                dr.select(flight.fresh, ahead, flight.ahead) if self.null else ahead
+            )
         if self.null:
             drawn = dr.select(flight.fresh, tau, flight.drawn) if self.keeps else None
             tau = dr.select(flight.fresh, tau, flight.tau)
@@ -338,18 +359,17 @@ class Events:
         collided = inside & (t_collision <= si.t) & (t_collision <= s.far)
         p = dr.select(collided, _collision(s, flight, travelled, gap), si.p)
         surface = first, last, ray, si, contact, si.bsdf()
-        a = Arrival(*surface, collided, s.active & ~collided, p, s.throughput)
-        a.inside, a.sigma_t, a.tau, a.column, a.drawn, a.tracked = (
-            inside, sigma_t, tau, column, drawn, tracked,
+        begins = collided if ahead is None else dr.select(collided, ahead, 0)
+        a = Arrival(*surface, collided, s.active & ~collided, p, s.throughput, begins)
+        a.inside, a.sigma_t, a.tau, a.column, a.drawn, a.tracked, a.ahead = (
+            inside, sigma_t, tau, column, drawn, tracked, ahead,
         )  # fmt: skip
         if self.keeps:
             a.reached = column + flight.flown if self.null else column
         if self.chromatic:
             relative = extinction / dr.select(sigma_t > 0, sigma_t, 1)
             depths = dr.select(collided, relative * drawn, optical_depth(extinction, a.reached))
-            densities = media.ask(
-                "densities", location, flight.from_particle, collided, depths, relative, drawn
-            )
+            densities = media.ask("densities", location, origin, collided, depths, relative, drawn)
             if media.tracks:
                 densities *= tracked_balance
             a.balance = dr.select(inside, balanced(flight.balance, densities), flight.balance)
@@ -440,7 +460,7 @@ class Events:
             leaving = partial(self._behind, a, location)
         else:
             leaving = partial(_stay, location)
-        start = Start(vertex, leaving, a.collided)
+        start = Start(vertex, leaving, a.from_particle)
         useful = dr.any(scattering.value != 0)
         shares = record.shares if record else None
         light = self.nee.arriving(link, start, sampler, useful, shares)
@@ -470,7 +490,9 @@ class Events:
         if self.media and s.flight:
             location = s.flight.location
             mei = medium_interaction(s.d, a.ray, a.p)
-            m = self.media.ask("scatter", location, mei, wo, u1, u2, active=collided & ~a.last)
+            m = self.media.ask(
+                "scatter", location, mei, wo, u1, u2, *a.start, active=collided & ~a.last
+            )
             if record:
                 record.phase = location, mei, wo, m.wo, collided & ~a.last
             value = dr.select(collided, m.albedo * m.value, value)
@@ -571,6 +593,7 @@ class Events:
         fresh = flight.fresh
         if self.null:
             fresh = flight.fresh = scattered | (beyond != flight.location)
+            flight.ahead = a.ahead
             flight.tau = dr.maximum(a.tau - a.sigma_t * a.column, 0)
         if self.chromatic:
             balance = a.balance
@@ -583,9 +606,9 @@ class Events:
             flight.drawn, flight.flown = a.drawn, dr.select(fresh, 0, a.reached)
             if self.adjoint:
                 flight.began = dr.select(fresh, a.p, flight.began)
-            flight.from_particle = dr.select(fresh, a.collided, flight.from_particle)
+            flight.from_particle = dr.select(fresh, a.from_particle, flight.from_particle)
         else:
-            flight.from_particle = a.collided
+            flight.from_particle = a.from_particle
         flight.location = beyond
 
 

@@ -98,6 +98,10 @@ def _owner(parameters: Any, key: str) -> tuple[Any, str]:
 
 
 def _kind(medium: Any, key: str, path: str) -> str:
+    if getattr(medium, "remembers", False):
+        raise ValueError(
+            f"no derivative by {key}: a medium with memory has none; use nonexp.inverse.differences"
+        )
     kind = next((kind for name, kind in _KINDS.items() if name in path.split(".")), None)
     model = getattr(medium, "model", None)
     if kind is None or (model is None and not medium.is_homogeneous()):

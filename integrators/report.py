@@ -68,7 +68,7 @@ def _media(needs: SceneNeeds, media: Media | None) -> list[Finding]:
         rows.append(Finding("extinction", "differs between channels", colour))
     else:
         rows.append(Finding("extinction", "the same in all channels", "skipped: spectral weights"))
-    return [*rows, *_varying(media), _emission(media)]
+    return [*rows, *_varying(media), _memory(media), _emission(media)]
 
 
 def _varying(media: Media) -> list[Finding]:
@@ -89,6 +89,14 @@ def _varying(media: Media) -> list[Finding]:
     return rows
 
 
+def _memory(media: Media) -> Finding:
+    remembering = [_medium_name(entry) for entry in media.entries if entry.remembers]
+    question = "media with memory"
+    if not remembering:
+        return Finding(question, "none", "skipped: the material that a path is in")
+    return Finding(question, ", ".join(remembering), "paths carry their material")
+
+
 def _emission(media: Media) -> Finding:
     glowing = [_medium_name(entry) for entry in media.entries if entry.emits]
     question = "media that emit"
@@ -105,19 +113,33 @@ def _describe(entry: Entry) -> str:
     name = _medium_name(entry)
     if entry.tracked and not hasattr(entry.pointer, "model"):
         return f"{name}: exponential, heterogeneous"
+    if entry.remembers:
+        return f"{name}: {_materials(entry.pointer)}"
     texture = getattr(entry.pointer, "transmittance", None)
     law = texture.to_string().removeprefix("transmittance_") if texture else "exponential"
     mei = visible()
     mei.wi = mi.Vector3f(0, 0, 1)
     extinction = getattr(entry.pointer, "extinction", entry.extinction)
-    sigma_t = np.unique(np.round(np.array(dr.detach(extinction(mei))), 6))
-    shown = f"{sigma_t[0]:g}" if len(sigma_t) == 1 else f"{sigma_t[0]:g} to {sigma_t[-1]:g}"
+    shown = _range(extinction(mei))
     density = getattr(entry.pointer, "density", None)
     if density is not None:
         size = "x".join(map(str, density.voxels))
         shown += f" times a grid of {size} up to {entry.pointer.most:.3g}"
     phase = entry.pointer.phase_function().class_name()
     return f"{name}: {law}, sigma_t {shown}, {phase}"
+
+
+def _range(extinction: Any) -> str:
+    sigma_t = np.unique(np.round(np.array(dr.detach(extinction)), 6))
+    return f"{sigma_t[0]:g}" if len(sigma_t) == 1 else f"{sigma_t[0]:g} to {sigma_t[-1]:g}"
+
+
+def _materials(medium: Any) -> str:
+    """The two materials of a medium with memory."""
+    sigma_t = " and ".join(map(_range, medium.extinctions(visible())))
+    chords = " and ".join(f"{float(dr.detach(chord)[0]):g}" for chord in medium.chord)
+    phases = " and ".join(phase.class_name() for phase in medium.phases)
+    return f"two materials with memory, sigma_t {sigma_t}, chords {chords}, {phases}"
 
 
 def _medium_effect(entry: Entry) -> str:

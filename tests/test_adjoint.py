@@ -355,6 +355,25 @@ def test_parameters_without_derivatives_are_refused(name: str, message: str) -> 
         dr.backward(image)
 
 
+def test_scenes_with_memory_are_refused() -> None:
+    mixed = {"type": "nonexp_binary_mixture", "sigma_t": "1, 2", "chord": "1, 1"}
+    other = ball(mixed, radius=0.3) | {"center": [0, 0, 2]}
+    made = scene(sensor=orthographic(), ball=ball(gamma()), other=other, lamp=LAMP)
+    chord = next(key for key in mi.traverse(made).keys() if "chord" in key)
+    for name in (ALBEDO, chord):
+        parameters = mi.traverse(made)
+        attached(parameters, name)
+        with pytest.raises(ValueError, match="no derivative by"):
+            dr.backward(mi.render(made, parameters, spp=1))
+        parameters[name] = type(parameters[name])(dr.detach(parameters[name]))
+        parameters.update()
+    parameters = mi.traverse(made)
+    (light,) = attached(parameters, "lamp.emitter.radiance.value")
+    dr.backward(dr.mean(mi.render(made, parameters, spp=64), axis=None))
+    (exact,) = inverse.differences(made, "lamp.emitter.radiance.value", spp=64, runs=1)
+    assert dr.grad(light)[0] == pytest.approx(exact.value.mean(), rel=0.1)
+
+
 def test_names_and_numbers_are_checked() -> None:
     made = scene(sensor=orthographic(), ball=ball(gamma()), sky=FURNACE)
     with pytest.raises(KeyError, match=r"the scene has no parameter 'ball\.sigma'"):

@@ -227,6 +227,7 @@ def test_scenes_are_chosen_by_name() -> None:
         "fog_sphere-gamma",
         "slab-exponential",
         "slab-linear",
+        "slab-memory",
     ]
     assert chosen("fog") == ["fog-exponential", "fog-linear"] and chosen("cornell") == ["cornell"]
     clouds, every = chosen("cloud"), chosen("all")

@@ -72,7 +72,7 @@ def in_a_scene(part: Any) -> dict[str, Any]:
     kind = part["type"]
     if kind.startswith("transmittance_"):
         part = {"type": "nonexp_homogeneous", "transmittance": part}
-    if part["type"] in ("nonexp_homogeneous", "nonexp_heterogeneous"):
+    if part["type"] in ("nonexp_homogeneous", "nonexp_heterogeneous", "nonexp_binary_mixture"):
         ball = {"type": "sphere", "bsdf": {"type": "null"}, "interior": part}
         return {"type": "scene", "integrator": {"type": "nonexp_volpath"}, "ball": ball}
     return {"type": "scene", "integrator": part}

@@ -75,3 +75,24 @@ def test_a_foreign_integrator_is_warned_of(capsys: pytest.CaptureFixture[str]) -
 def test_a_missing_scene_is_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["info", "nowhere.xml"]) == 2
     assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_a_medium_with_memory(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "mixture.xml"
+    path.write_text(
+        """<scene version="3.9.0"><integrator type="nonexp_volpath"/><sensor type="perspective"/>
+        <shape type="sphere"><bsdf type="null"/>
+            <medium type="nonexp_binary_mixture" name="interior" id="sponge">
+                <string name="sigma_t" value="6, 0.5"/><string name="chord" value="0.3, 0.7"/>
+            </medium>
+        </shape></scene>""",
+        encoding="utf-8",
+    )
+    found = table(capsys, str(path))
+    assert found["medium 1"][0] == (
+        "sponge: two materials with memory, sigma_t 6 and 0.5, chords 0.3 and 0.7, "
+        "IsotropicPhaseFunction"
+    )
+    assert found["media with memory"] == ("sponge", "paths carry their material")
+    found = table(capsys, DRAGON, "-D", "medium=gamma")
+    assert found["media with memory"] == ("none", "skipped: the material that a path is in")

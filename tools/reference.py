@@ -140,6 +140,26 @@ EXAMPLES: dict[str, tuple[str, dict[str, Any]]] = {
             "transmittance": {"type": "transmittance_linear", "b": 1.0},
         },
     ),
+    "nonexp_binary_mixture": (
+        """\
+<medium type="nonexp_binary_mixture" name="interior">
+    <string name="sigma_t" value="20, 0.5"/>
+    <string name="chord" value="0.1, 0.4"/>
+    <rgb name="albedo_0" value="0.9, 0.6, 0.3"/>
+    <float name="albedo_1" value="0.99"/>
+    <phase type="isotropic" name="phase_0"/>
+    <phase type="hg" name="phase_1"> <float name="g" value="0.8"/> </phase>
+</medium>""",
+        {
+            "type": "nonexp_binary_mixture",
+            "sigma_t": "20, 0.5",
+            "chord": "0.1, 0.4",
+            "albedo_0": {"type": "rgb", "value": [0.9, 0.6, 0.3]},
+            "albedo_1": 0.99,
+            "phase_0": {"type": "isotropic"},
+            "phase_1": {"type": "hg", "g": 0.8},
+        },
+    ),
     "nonexp_volpath": (
         """\
 <integrator type="nonexp_volpath">

@@ -11,11 +11,13 @@ from typing import Any
 import mitsuba as mi
 
 from .. import models
+from ..models.exponential_mixture import ExponentialMixture
 from ..scene.cloud import cloud
 from ..scene.load import load
 
 __all__ = [
     "LAWS",
+    "MEMORY",
     "SCENES",
     "Case",
     "Filling",
@@ -53,10 +55,16 @@ LAWS: dict[str, tuple[tuple[str, dict[str, Any]], ...]] = {
 }
 """Name -> models with their parameters; the media of a scene take several models in turn."""
 
+MEMORY = "memory"
+"""In place of a law: the mixture of two materials whose mean extinction is that of the medium."""
+
+_FACTORS, _CHORDS = (0.25, 4.0), (0.8, 0.2)
+
 
 @dataclass(frozen=True)
 class Filling:
-    """What fills the media of a scene: a ``law`` of :data:`LAWS`; None is Mitsuba's own medium.
+    """What fills the media of a scene: a ``law`` of :data:`LAWS`, or :data:`MEMORY`; None is
+    Mitsuba's own medium.
 
     ``properties`` are passed to Mitsuba's medium. ``channel`` makes the medium grey, with the
     extinction and the albedo of that channel. ``tracking`` is how flights pass a grid.
@@ -72,6 +80,11 @@ class Filling:
         values = {key: self._value(value) for key, value in parameters.items()}
         if self.law is None:
             return {"type": "homogeneous", **values, **self.properties}
+        if self.law == MEMORY:
+            sigma_t = values.pop("sigma_t")
+            pairs = {f"sigma_t_{i}": factor * sigma_t for i, factor in enumerate(_FACTORS)}
+            chord = ", ".join(map(str, _CHORDS))
+            return {"type": "nonexp_binary_mixture", "chord": chord, **pairs, **values}
         return {"type": "nonexp_homogeneous", "transmittance": self._law(number), **values}
 
     def grid(self, volume: dict[str, Any], **parameters: Any) -> dict[str, Any]:
@@ -264,6 +277,9 @@ def _slab(filling: Filling, size: tuple[int, int]) -> Any:
 
 def _through_slab(law: str) -> float:
     """Transmittance from surface to surface."""
+    if law == MEMORY:
+        first, second = (factor * SLAB_DEPTH for factor in _FACTORS)
+        return float(ExponentialMixture.levermore(first, second, *_CHORDS).ff(1.0))
     ((model, fields),) = LAWS[law]
     return float(models.create(model, **fields).ff(SLAB_DEPTH))
 
@@ -374,7 +390,7 @@ SCENES = (
         "furnace",
         "a ball that absorbs nothing under a sky of radiance 1: all pixels are 1",
         _furnace,
-        laws=("exponential", "gamma"),
+        laws=("exponential", "gamma", MEMORY),
         max_depth=-1,
         exact=lambda law: 1.0,
     ),
@@ -382,7 +398,7 @@ SCENES = (
         "slab",
         "a slab that only absorbs, before a sky of radiance 1: all pixels are its transmittance",
         _slab,
-        laws=("exponential", "linear"),
+        laws=("exponential", "linear", MEMORY),
         exact=_through_slab,
     ),
     Scene("cornell", "the Cornell box, without media", _cornell, tags=frozenset()),

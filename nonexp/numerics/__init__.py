@@ -5,6 +5,7 @@
 ``special``        incomplete gamma functions, a spline
 ``lookup``         tables of numbers that a kernel reads
 ``laplace``        Laplace transforms of a law of finitely many values, draws of them
+``alternating``    collisions along a ray through two materials that alternate
 ``quadrature``     laws of ``scipy.stats`` as few weighted values
 =================  ===============================================================================
 """

@@ -11,7 +11,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from nonexp.plugins import flights, grids, values
+from nonexp.plugins import binary, flights, grids, values
 from nonexp.plugins.density import Density, Placement
 from nonexp.plugins.spectra import grey, somewhere
 from nonexp.system import insides
@@ -21,20 +21,25 @@ _SHARED = ("sigma_t", "scale", "albedo", "emission", "sample_emitters", "has_spe
 
 
 class NonexpMedium(mi.Medium):
-    """What both media share. Subclasses add what extinction is made of."""
+    """What all media share. Subclasses add what extinction is made of."""
 
     plugin: ClassVar[str]
     own: ClassVar[tuple[str, ...]]
-    """parameters beside those that both have"""
+    """parameters beside those that all have"""
+    nested: ClassVar[tuple[str, ...]] = ("transmittance", "phase_function")
+    """plugins within, which check their own values"""
 
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
-        self.transmittance = self._law(props)
+        self._read(props)
         self.scale = mi.Float(values.number(props, "scale", 1.0))
-        self.albedo = values.volume(props, "albedo", 0.75)
-        self.emission = values.source(props, "emission")
         self.m_has_spectral_extinction = props.get("has_spectral_extinction", True)
         self._accepted: dict[str, Any] = {}  # the last values that were not refused
+
+    def _read(self, props: mi.Properties) -> None:
+        self.transmittance = self._law(props)
+        self.albedo = values.volume(props, "albedo", 0.75)
+        self.emission: Any = values.source(props, "emission")
 
     def _law(self, props: mi.Properties) -> Any:
         """The nested law. Raises ``ValueError`` for parameters that the plugin does not have."""
@@ -128,28 +133,24 @@ class NonexpMedium(mi.Medium):
     def _check(self) -> None:
         """Check all values; if they are refused, restore the last accepted ones."""
         parameters = mi.traverse(self)
-        others = ("transmittance", "phase_function")
-        own = [k for k in parameters.keys() if k.split(".")[0] not in others]
+        own = [k for k in parameters.keys() if k.split(".")[0] not in self.nested]
         try:
-            extinction, emission = self._check_values()
+            chromatic, emission = self._check_values()
         except ValueError:
             if self._accepted:
                 for key, value in self._accepted.items():
                     parameters[key] = value
                 parameters.update()
             raise
-        self._chromatic, self._emits = not grey(extinction), bool(np.any(emission > 0))
+        self._chromatic, self._emits = chromatic, bool(np.any(emission > 0))
         dr.make_opaque(self.scale)
         # Arrays are shared until somebody changes them: this copies no grid.
         self._accepted = {key: type(parameters[key])(parameters[key]) for key in own}
 
-    def _check_values(self) -> tuple[Any, Any]:
-        """Extinction and emission, over channels or wavelengths; ``ValueError`` if some value is
-        refused."""
-        scale = np.array(self.scale)
-        if scale.size != 1:
-            raise ValueError(f"scale holds {scale.size} numbers: it must be one")
-        values.check_range("scale", scale, dr.inf)
+    def _check_values(self) -> tuple[bool, Any]:
+        """Whether extinction differs between channels or wavelengths, and the emission over them;
+        ``ValueError`` if some value is refused."""
+        scale = values.check_one("scale", self.scale)
         extinction = self._check_extinction(scale)
         values.check_range("albedo", values.values_of("albedo", self.albedo), 1.0)
         emission = np.zeros(1)
@@ -157,7 +158,7 @@ class NonexpMedium(mi.Medium):
             emission = values.values_of("emission", self.emission)
             values.check_range("emission", emission, dr.inf)
         values.check_microflakes(self.phase_function())
-        return extinction, emission
+        return not grey(extinction), emission
 
     def _check_extinction(self, scale: Any) -> Any:
         raise NotImplementedError
@@ -237,7 +238,7 @@ class NonexpHomogeneous(NonexpMedium):
         return self.sigma_t.eval(mei) * (self.scale * self._factor)
 
     def _check_extinction(self, scale: Any) -> Any:
-        return _check_product("sigma_t", self.sigma_t, self._factor, scale)
+        return values.check_product("sigma_t", self.sigma_t, self._factor, scale)
 
 
 class NonexpHeterogeneous(NonexpMedium):
@@ -311,9 +312,9 @@ class NonexpHeterogeneous(NonexpMedium):
         callback.put("extinction", self.coefficient, mi.ParamFlags.Differentiable)
 
     def _check_extinction(self, scale: Any) -> Any:
-        extinction = _check_product("extinction", self.coefficient, self._factor, scale)
+        extinction = values.check_product("extinction", self.coefficient, self._factor, scale)
         if self._placement is None:
-            return extinction * _check_product("sigma_t", self.sigma_t, 1.0, scale)
+            return extinction * values.check_product("sigma_t", self.sigma_t, 1.0, scale)
         data = mi.traverse(self.sigma_t)["data"]
         if insides.variables(data) != self._seen:
             most = grids.check_density(self.sigma_t)
@@ -382,13 +383,180 @@ class NonexpHeterogeneous(NonexpMedium):
         return f"  extinction = {self.coefficient},\n"
 
 
-def _check_product(name: str, volume: mi.Volume, factor: float, scale: Any) -> Any:
-    """Values of a volume over channels or wavelengths; with ``scale`` they must be finite."""
-    spectrum = values.spectrum_of(name, volume) * factor
-    values.check_range(name, spectrum, dr.inf)
-    with np.errstate(over="ignore"):
-        values.check_range(f"{name} * scale", spectrum * scale, dr.inf)
-    return spectrum
+class NonexpBinaryMixture(NonexpMedium):
+    """Plugin ``nonexp_binary_mixture``: a random mixture of two materials, with memory.
+
+    Along a ray two exponential materials alternate in chords of independent, exponentially
+    distributed lengths (a Markov mixture). A path carries its material from one collision to the
+    next: the material changes along the ray, never at a collision. This is chord-length sampling,
+    alias the Levermore-Pomraning model. A path that enters through a boundary or leaves a surface
+    is in material i with the probability of its share of the volume,
+    ``chord_i / (chord_0 + chord_1)``: so far transmittance is that of
+    ``exponential_mixture`` by ``ExponentialMixture.levermore``. Parameters, each of the first five
+    a pair: a string "a, b", or one for each material, with ``_0`` and ``_1`` behind its name, or
+    one for both:
+
+    ``sigma_t`` (float, rgb or spectrum; no default)
+        Extinction of a material per scene unit, >= 0. 0 is void.
+    ``chord`` (float, no default)
+        Mean length of the chords in a material, in scene units, within [1e-30, 1e30].
+    ``albedo`` (float, rgb, spectrum or volume, default 0.75)
+        Probability of scattering at a collision, in [0, 1].
+    ``emission`` (float, rgb, spectrum or volume, default none)
+        Source function, a radiance >= 0, as of ``nonexp_homogeneous``.
+    nested phase functions ``phase_0`` and ``phase_1``, or one (default ``isotropic``)
+        Not microflakes.
+    ``scale`` (float, default 1)
+        Factor on both extinctions, >= 0; not on the chords.
+    ``sample_emitters`` (boolean, default true)
+        Whether collisions connect to emitters directly (next-event estimation).
+
+    Mitsuba's own integrators see the exponential medium of the same mean extinction and mean
+    scattering (chords so short that they cannot be told apart), without its emission. Bad values
+    raise ``ValueError`` when the scene is loaded and at ``params.update()``, which then leaves the
+    medium as it was. Images have no derivatives by these parameters.
+    """
+
+    plugin = "nonexp_binary_mixture"
+    own = ()
+    nested = ("phase_function", "phase_0", "phase_1")
+    remembers = True
+    """A path carries its material."""
+
+    def __init__(self, props: mi.Properties) -> None:
+        binary.check_names(props, self.plugin)
+        phases = binary.phases(props)
+        self._blend = None
+        if len(phases) == 2:
+            # A medium of Mitsuba's has one phase function: that of the exponential counterpart.
+            self._blend = values.make("blendphase", weight=0.5, a=phases[0], b=phases[1])
+            props["phase"] = self._blend
+        super().__init__(props)
+        self.phases = phases or (self.phase_function(),)
+        self.m_is_homogeneous = True
+        self._check()
+
+    def _read(self, props: mi.Properties) -> None:
+        extinctions = [values.constant_coefficient(props, n) for n in values.pair(props, "sigma_t")]
+        self.sigma_t = tuple(volume for volume, _ in extinctions)
+        self._factor = tuple(factor for _, factor in extinctions)
+        self.chord = tuple(
+            mi.Float(values.number(props, name, 1.0)) for name in values.pair(props, "chord")
+        )
+        self.albedo = tuple(values.volume(props, n, 0.75) for n in values.pair(props, "albedo"))
+        self.emission = tuple(values.source(props, n) for n in values.pair(props, "emission"))
+
+    # ------------------------------------------------------------- what integrators use
+
+    def extinctions(self, mei: mi.MediumInteraction3f | None = None) -> tuple[Any, Any]:
+        """Extinction of each material: numbers, or spectra if the medium is chromatic."""
+        mei = somewhere() if mei is None else mei
+        found = [
+            volume.eval(mei) * (self.scale * factor)
+            for volume, factor in zip(self.sigma_t, self._factor, strict=True)
+        ]
+        return (found[0], found[1]) if self.chromatic else (found[0][0], found[1][0])
+
+    @property
+    def shares(self) -> tuple[Any, Any]:
+        """Share of the volume of each material."""
+        total = self.chord[0] + self.chord[1]
+        return self.chord[0] / total, self.chord[1] / total
+
+    @property
+    def oriented(self) -> bool:
+        return False
+
+    def extinction(self, mei: mi.MediumInteraction3f | None = None) -> Any:
+        """Mean extinction."""
+        return self._mean(self.extinctions(mei))
+
+    def eval_albedo(self, mei: mi.MediumInteraction3f, active: Any = True) -> mi.Spectrum:
+        """Mean albedo, over all collisions."""
+        sigma_t = self.extinctions(mei)
+        albedo = [volume.eval(mei, active) for volume in self.albedo]
+        mean = mi.UnpolarizedSpectrum(self._mean(sigma_t))
+        scattered = self._mean(tuple(s * a for s, a in zip(sigma_t, albedo, strict=True)))
+        return dr.select(mean > 0, scattered / mean, 0)
+
+    def eval_albedo_of(self, second: Any, mei: mi.MediumInteraction3f, active: Any = True) -> Any:
+        """Albedo at a collision in the first or the ``second`` material."""
+        first, other = (volume.eval(mei, active) for volume in self.albedo)
+        return dr.select(second, other, first)
+
+    def eval_emission_of(self, second: Any, mei: mi.MediumInteraction3f, active: Any = True) -> Any:
+        """Source function at a collision in the first or the ``second`` material."""
+        if self.emission[0] is None:
+            return mi.UnpolarizedSpectrum(0)
+        first, other = (volume.eval(mei, active) for volume in self.emission)
+        return dr.select(second, other, first)
+
+    def _mean(self, pair: tuple[Any, Any]) -> Any:
+        return self.shares[0] * pair[0] + self.shares[1] * pair[1]
+
+    # ------------------------------------------------------------- Mitsuba's parameters
+
+    def traverse(self, callback: mi.TraversalCallback) -> None:
+        flag = mi.ParamFlags.NonDifferentiable
+        callback.put("scale", self.scale, flag)
+        for name in ("sigma_t", "chord", "albedo", "emission"):
+            for i, value in enumerate(getattr(self, name)):
+                if value is not None:
+                    callback.put(f"{name}_{i}", value, flag)
+        for i, phase in enumerate(self.phases):
+            callback.put(f"phase_{i}" if self._blend else "phase_function", phase, flag)
+
+    def _check_values(self) -> tuple[bool, Any]:
+        scale = values.check_one("scale", self.scale)
+        extinctions, emissions, shares = [], [np.zeros(1)], []
+        for i in (0, 1):
+            extinctions.append(
+                values.check_product(f"sigma_t_{i}", self.sigma_t[i], self._factor[i], scale)
+            )
+            chord = binary.check_chord(f"chord_{i}", self.chord[i])
+            shares.append(chord)
+            name = f"albedo_{i}"
+            values.check_range(name, values.values_of(name, self.albedo[i]), 1.0)
+            if self.emission[i] is not None:
+                name = f"emission_{i}"
+                emissions.append(values.values_of(name, self.emission[i]))
+                values.check_range(name, emissions[-1], dr.inf)
+        binary.check_phases(self.phases, self.plugin)
+        if self._blend:
+            self._blend_phases(extinctions, np.array(shares))
+        chromatic = not all(map(grey, extinctions))
+        return chromatic, np.concatenate([np.ravel(values) for values in emissions])
+
+    def _blend_phases(self, extinctions: list[Any], shares: Any) -> None:
+        """The mean phase function of all scattering, for the exponential counterpart."""
+        scattering = [
+            shares[i]
+            * np.mean(extinctions[i])
+            * np.mean(values.values_of(f"albedo_{i}", self.albedo[i]))
+            for i in (0, 1)
+        ]
+        parameters = mi.traverse(self._blend)
+        total = sum(scattering)
+        parameters["weight.value.value"] = scattering[1] / total if total > 0 else 0.5
+        parameters.update()
+
+    # ------------------------------------------------------------- the exponential counterpart
+
+    def get_majorant(self, mei: mi.MediumInteraction3f, active: Any = True) -> mi.Spectrum:
+        _warn_counterpart(self.plugin)
+        return mi.UnpolarizedSpectrum(self.extinction(mei)) & active
+
+    def to_string(self) -> str:
+        def shown(name: str) -> str:
+            pair = getattr(self, name)
+            return "".join(f"  {name}_{i} = {value},\n" for i, value in enumerate(pair))
+
+        emission = shown("emission") if self.emission[0] is not None else ""
+        phases = ", ".join(str(phase) for phase in self.phases)
+        return (
+            f"{type(self).__name__}[\n{shown('sigma_t')}{shown('chord')}{shown('albedo')}"
+            f"{emission}  scale = {self.scale},\n  phase_functions = {phases}\n]"
+        )
 
 
 _warned = False

@@ -24,6 +24,7 @@ __all__ = ["install", "register"]
 _PLUGINS = {
     "nonexp_homogeneous": ("medium", "nonexp.plugins.medium", "NonexpHomogeneous"),
     "nonexp_heterogeneous": ("medium", "nonexp.plugins.medium", "NonexpHeterogeneous"),
+    "nonexp_binary_mixture": ("medium", "nonexp.plugins.medium", "NonexpBinaryMixture"),
     "nonexp_volpath": ("integrator", "nonexp.integrators.volpath", "NonexpVolpath"),
 }
 _TEXTURE = ("nonexp.plugins.texture", "TransmittanceTexture")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import drjit as dr
@@ -14,12 +15,15 @@ from nonexp.system.machine import supported
 
 __all__ = [
     "check_microflakes",
+    "check_one",
+    "check_product",
     "check_range",
     "choice",
     "coefficient",
     "constant_coefficient",
     "make",
     "number",
+    "pair",
     "source",
     "spectrum_of",
     "values_of",
@@ -52,6 +56,30 @@ def choice(props: mi.Properties, name: str, allowed: tuple[str, ...]) -> str:
             f"{name} is {value!r}: it must be {', '.join(allowed[:-1])} or {allowed[-1]}"
         )
     return str(value)
+
+
+def pair(props: mi.Properties, name: str) -> tuple[str, str]:
+    """Names of two parameters, ``name_0`` and ``name_1``, or twice ``name``, which is then one for
+    both. A string "a, b" becomes the former."""
+    own = f"{name}_0", f"{name}_1"
+    given = [one for one in own if one in props]
+    if name in props and given:
+        raise ValueError(f"{name} and {given[0]} are given: it must be one of them")
+    if len(given) == 1:
+        missing = own[1 - own.index(given[0])]
+        raise ValueError(f"{given[0]} is given without {missing}: both must be")
+    if name in props and isinstance(props[name], str):
+        words = [word for word in re.split(r"[\s,;]+", props[name].strip()) if word]
+        try:
+            first, second = map(float, words)
+        except ValueError:
+            raise ValueError(
+                f'{name} is {props[name]!r}: it must be two numbers, as in "0.2, 1.8"'
+            ) from None
+        del props[name]
+        props[own[0]], props[own[1]] = first, second
+        return own
+    return own if given else (name, name)
 
 
 def volume(props: mi.Properties, name: str, default: float) -> mi.Volume:
@@ -105,7 +133,7 @@ def source(props: mi.Properties, name: str) -> mi.Volume | None:
 
 def check_literal(props: mi.Properties, name: str) -> None:
     """Check numbers before Mitsuba turns them into spectra, which clamp or misreport them."""
-    upper = 1.0 if name == "albedo" else dr.inf
+    upper = 1.0 if name.startswith("albedo") else dr.inf
     kind = props.type(name)
     if kind in (mi.Properties.Type.Color, mi.Properties.Type.Float, mi.Properties.Type.Integer):
         check_range(name, np.array(props[name], dtype=float).ravel(), upper)
@@ -118,6 +146,24 @@ def check_range(name: str, values: Any, upper: float) -> None:
     if bad.size:
         allowed = "a finite number >= 0" if upper == dr.inf else f"within [0, {upper:g}]"
         raise ValueError(f"{name} is {bad.flat[0]:g}: it must be {allowed}")
+
+
+def check_one(name: str, value: Any) -> Any:
+    """A single number >= 0."""
+    found = np.array(value)
+    if found.size != 1:
+        raise ValueError(f"{name} holds {found.size} numbers: it must be one")
+    check_range(name, found, dr.inf)
+    return found
+
+
+def check_product(name: str, volume: mi.Volume, factor: float, scale: Any) -> Any:
+    """Values of a volume over channels or wavelengths; with ``scale`` they must be finite."""
+    spectrum = spectrum_of(name, volume) * factor
+    check_range(name, spectrum, dr.inf)
+    with np.errstate(over="ignore"):
+        check_range(f"{name} * scale", spectrum * scale, dr.inf)
+    return spectrum
 
 
 def check_microflakes(phase: mi.PhaseFunction) -> None:
