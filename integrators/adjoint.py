@@ -350,7 +350,7 @@ class Adjoint:
                     {"albedo", "emission"},
                     media,
                     location,
-                    lambda twin, mask: twin.entry.emitted(mei, here & mask),
+                    lambda twin, mask: twin.entry.emitted(mei, active=here & mask),
                 )
                 terms += dr.select(here, dr.detach(throughput) * light, 0)
             if record.emission and self.wanted.emitters:

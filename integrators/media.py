@@ -697,7 +697,7 @@ class Media(ABC):
         """What a method of :class:`Entry` answers for the medium at each location."""
 
         def question(entry: Entry, *args: Any, active: Any) -> Any:
-            return getattr(entry, name)(*args, active)
+            return getattr(entry, name)(*args, active=active)
 
         return self._each(question, location, *args, active=active)
 

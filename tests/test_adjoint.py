@@ -216,7 +216,7 @@ def test_differences_agree(name: str) -> None:
         assert abs(both[0].mean() - mine.mean()) < SIGMAS * error, (name, *both)
 
 
-@pytest.mark.parametrize("kind", ["cut", *thorough("connected", "nearest, in glass", "chromatic")])
+@pytest.mark.parametrize("kind", thorough("cut", "connected", "nearest, in glass", "chromatic"))
 def test_derivatives_by_voxels(kind: str) -> None:
     """Of some voxels, empty ones too, and of all together, against differences."""
     parts, name = voxels(kind)
@@ -286,7 +286,7 @@ def voxels(kind: str) -> tuple[dict[str, Any], str]:
 # ---------------------------------------------------------------------- the replay itself
 
 
-@pytest.mark.parametrize("name", ["null surfaces", *thorough("ball", "glass", "chromatic", "grid")])
+@pytest.mark.parametrize("name", thorough("null surfaces", "ball", "glass", "chromatic", "grid"))
 def test_forward_and_backward_agree_on_the_same_paths(name: str) -> None:
     parts, names = CASES[name]
     made = scene({"type": "nonexp_volpath", "max_depth": 8}, **CAMERA, **parts)

@@ -1,7 +1,7 @@
 """Render the pictures of README.md, docs/faq.md and docs/refractive.md into docs/images.
 
 Takes 15 minutes on 2 cores, and needs the extra plot. Arguments choose some of the pictures:
-laws, series, clouds, refractive. The clouds need a grid: nonexp cloud scenes/cloud.npz.
+laws, series, clouds, refractive, memory. The clouds need a grid: nonexp cloud scenes/cloud.npz.
 
 .venv/bin/pip install -e '.[plot]' && .venv/bin/python tools/figures.py
 """
@@ -22,6 +22,7 @@ from matplotlib.colors import LogNorm
 
 import nonexp
 from nonexp.images import exr as output
+from nonexp.models.exponential_mixture import ExponentialMixture
 
 ROOT = Path(__file__).resolve().parent.parent
 SIZE = {"width": 400, "height": 300}
@@ -109,12 +110,66 @@ def refractive(seconds: float = 60) -> Any:
     return figure
 
 
+def memory() -> Any:
+    """A mixture of two materials, dense dark lumps in thin white fog, in three models of it."""
+    extinction, chord, albedo = (12.0, 0.3), (0.25, 0.75), ((0.9, 0.45, 0.2), (0.99, 0.99, 0.99))
+    share = [one / sum(chord) for one in chord]
+    rates = [p * s for p, s in zip(share, extinction, strict=True)]
+    mean = list(np.array(rates) @ np.array(albedo) / sum(rates))
+    law = ExponentialMixture.levermore(*extinction, *chord)
+    mixed = {"albedo": {"type": "rgb", "value": mean}}
+    media = {
+        "mixed finely: exponential": {
+            "type": "nonexp_homogeneous",
+            "sigma_t": sum(rates),
+            **mixed,
+        },
+        "forgets: exponential_mixture": {
+            "type": "nonexp_homogeneous",
+            "transmittance": nonexp.models.to_dict(law),
+            **mixed,
+        },
+        "remembers: nonexp_binary_mixture": {
+            "type": "nonexp_binary_mixture",
+            "sigma_t": ", ".join(map(str, extinction)),
+            "chord": ", ".join(map(str, chord)),
+            **{f"albedo_{i}": {"type": "rgb", "value": a} for i, a in enumerate(albedo)},
+        },
+    }
+    transform = mi.ScalarTransform4f()
+    film = {"type": "hdrfilm", "width": 160, "height": 120}
+    eye = transform.look_at([2.4, 1.6, 3.4], [0, -0.1, 0], [0, 1, 0])
+    place = transform.translate([0, -1, 0]).rotate([1, 0, 0], -90).scale(8)
+    figure, axes = plt.subplots(1, 3, figsize=(4.8, 1.5), layout="constrained")
+    for axis, (title, medium) in zip(axes, media.items(), strict=True):
+        scene = mi.load_dict(
+            {
+                "type": "scene",
+                "integrator": {"type": "nonexp_volpath", "max_depth": 64},
+                "sensor": {"type": "perspective", "fov": 40, "to_world": eye, "film": film},
+                "block": {"type": "cube", "bsdf": {"type": "null"}, "interior": medium},
+                "floor": {"type": "rectangle", "to_world": place},
+                "sun": {"type": "directional", "direction": [-1, -1.2, -0.2], "irradiance": 2.0},
+                "sky": {"type": "constant", "radiance": 0.4},
+            }
+        )
+        image = nonexp.render(scene, spp=128)
+        print(f"{title}: {image.spp} spp in {image.seconds:.0f} s", flush=True)
+        axis.imshow(output.tone_map(image.mean))
+        axis.set_title(title, fontsize=6)
+        axis.axis("off")
+    return figure
+
+
+DRAWN = {"refractive": refractive, "memory": memory}
+
+
 def main() -> None:
     mi.set_variant("llvm_ad_rgb")
     folder = ROOT / "docs" / "images"
     folder.mkdir(parents=True, exist_ok=True)
-    for name in sys.argv[1:] or [*FIGURES, "refractive"]:
-        figure = refractive() if name == "refractive" else laws(*FIGURES[name])
+    for name in sys.argv[1:] or [*FIGURES, *DRAWN]:
+        figure = DRAWN[name]() if name in DRAWN else laws(*FIGURES[name])
         figure.savefig(folder / f"{name}.png", dpi=100)
 
 
