@@ -7,7 +7,7 @@ NONEXP = .venv/bin/nonexp
 help:
 	@echo 'make dragon     render scenes/dragon.xml to out/dragon.exr and out/dragon.png'
 	@echo 'make test       lint, types and the quick tests: all but those marked thorough (4 minutes)'
-	@echo 'make test-all   all tests (12 minutes)'
+	@echo 'make test-all   all tests (15 minutes)'
 	@echo 'make test-slow  all tests with full statistics (hours)'
 	@echo 'make bench      run time against error beside Mitsuba, into docs/benchmarks (16 minutes)'
 	@echo 'make lint       lint and types only'

@@ -149,8 +149,8 @@ def test_emission_of_an_erlang_ball_is_what_it_absorbs(albedo: float, absorbed: 
     assert_mean(light, math.pi / 4 * absorbed, 0.05)
 
 
-@pytest.mark.parametrize("case", quick(QUICK[::2], lambda case: case in QUICK[::6]), ids=model_id)
-@pytest.mark.parametrize("kind", ["homogeneous", "heterogeneous"])
+@pytest.mark.parametrize("case", quick(QUICK[::3], lambda case: case in QUICK[::6]), ids=model_id)
+@pytest.mark.parametrize("kind", ["heterogeneous", *thorough("homogeneous")])
 def test_thermal_equilibrium(case: Case, kind: str) -> None:
     """Everything emits 1: each path without connections and roulette carries exactly 1."""
     key, parameters = case
@@ -240,11 +240,10 @@ def test_both_ways_of_tracking_agree(case: Case, colour: bool) -> None:
 @pytest.mark.parametrize(
     "case",
     [
-        ("exponential_mixture", {}),
         ("ensemble", {"law": "lognorm", "args": (1.0, 0.0, 0.6)}),
         ("mixture", {"models": (models.create("gamma"), models.create("constant"))}),
     ],
-    ids=["exponential_mixture", "ensemble", "mixture"],
+    ids=["ensemble", "mixture"],
 )
 def test_mixtures_of_exponentials_by_null_collisions(case: Case) -> None:
     key, parameters = case
@@ -284,10 +283,10 @@ PLAIN = varied(noise(), scale=4.0, albedo={"type": "rgb", "value": [0.9, 0.7, 0.
     ],
     ids=["grid", "no connections", "nearest", "smaller than the ball", "albedo"],
 )
-@pytest.mark.parametrize("tracking", ["regular", *thorough("delta")])
-def test_exponential_grids_against_volpath(inside: dict[str, Any], tracking: str) -> None:
+def test_exponential_grids_against_volpath(inside: dict[str, Any]) -> None:
+    """By walks: null collisions are compared with them."""
     right = passes(scene("volpath", **around(stock(inside))), 2**10, 1, 3)
-    inside = inside | {"tracking": tracking}
+    inside = inside | {"tracking": "regular"}
     assert_same(passes(scene("nonexp_volpath", **around(inside)), 2**10, 2, 3), right, 0.06)
 
 
@@ -432,7 +431,7 @@ def test_an_invisible_boundary_around_a_grid_is_left_out() -> None:
     assert shell(cloud=named, **cube({"type": "ref", "id": "cloud"}), sensor=found)
 
 
-@pytest.mark.parametrize("key", ["linear", *thorough("exponential", "gamma")])
+@pytest.mark.parametrize("key", ["linear", *thorough("gamma")])
 def test_leaving_it_out_changes_nothing(key: str) -> None:
     """Beside a second medium, far away, it stays. With a floor that touches it, and inside."""
     inside = varied(noise(), key, scale=4.0, albedo=0.8)
@@ -445,7 +444,7 @@ def test_leaving_it_out_changes_nothing(key: str) -> None:
     assert_same(got, right, 0.05)
 
 
-@pytest.mark.parametrize("key", ["gamma", *thorough("linear")])
+@pytest.mark.parametrize("key", ["linear"])
 def test_a_lamp_inside(key: str) -> None:
     """Connections end within the grid: as in a homogeneous medium of the same density."""
     lamp = {
@@ -459,23 +458,6 @@ def test_a_lamp_inside(key: str) -> None:
     same = medium(key, sigma_t=1.5, albedo=0.9)
     got = passes(scene(**parts, **cube(inside)), 2**12, 1, 3)
     assert_same(got, passes(scene(**parts, **cube(same)), 2**12, 2, 3), 0.08)
-
-
-@THOROUGH
-def test_without_it_from_inside_against_volpath() -> None:
-    def parts(inside: dict[str, Any]) -> dict[str, Any]:
-        eye = perspective([0.3, 0, 0.8], [0, 0, 0], 60)
-        return {
-            "cloud": {"id": "cloud"} | inside,
-            "sensor": eye | {"medium": {"type": "ref", "id": "cloud"}},
-            **cube({"type": "ref", "id": "cloud"}),
-            "thing": THING,
-            "lamp": LAMP,
-            "sky": FURNACE,
-        }
-
-    right = passes(scene("volpath", **parts(stock(PLAIN))), 2**9, 1, 3)
-    assert_same(passes(scene(**parts(PLAIN)), 2**9, 2, 3), right, 0.1)
 
 
 def test_a_moved_thing_is_noticed_where_it_is_left_out() -> None:

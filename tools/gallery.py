@@ -1,6 +1,6 @@
 """Render the gallery: every model in the dragon scene, and a series in the fog room.
 
-Its cloud is a picture of tools/figures.py.
+Its cloud and its mixture are pictures of tools/figures.py.
 
 .venv/bin/python tools/gallery.py [--spp 1024] [--size 320x240]
 
@@ -71,6 +71,19 @@ pixel, made by `nonexp cloud scenes/cloud.npz` and `tools/figures.py clouds`. On
 nonexp cloud scenes/cloud.npz
 nonexp render scenes/cloud.xml -D medium=linear -D extinction=4 --spp 128 --size 200x150
 ```
+"""
+
+MEMORY = """\
+## A mixture that remembers
+
+![A block of dark lumps in white fog, as three media](images/memory.png)
+
+A block of two materials along each ray: dense brown lumps (extinction 12, mean chord .25) in thin
+white fog (.3, .75). Mixed finely it is an `exponential` medium. As a law, `exponential_mixture` by
+`levermore`, it lets light pass between the lumps, but each collision forgets in which material it
+was. `nonexp_binary_mixture` remembers: light that is in a lump stays there for some collisions, and
+the fog between keeps its white. 160 x 120, 128 samples per pixel, made by
+`tools/figures.py memory`.
 """
 
 
@@ -173,7 +186,7 @@ def page(sections: dict[str, list[Picture]], spp: int, size: str) -> str:
                 "```\n",
                 made(picture, header),
             ]
-    return "\n".join([*text, CLOUD])
+    return "\n".join([*text, CLOUD, MEMORY])
 
 
 def main() -> None:
