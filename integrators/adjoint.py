@@ -11,7 +11,7 @@ rest: the mean of the pixel's other paths makes derivatives far less noisy.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -234,11 +234,16 @@ class Adjoint:
     def _of_media(self, kinds: set[str], media: Media, location: Any, question: Any) -> Any:
         """``question(twin, mask)`` for the medium at each location, 0 where nothing depends."""
         result: Any = mi.UnpolarizedSpectrum(0)
+        for twin, here in self._places(kinds, media, location):
+            result = dr.select(here, question(twin, here), result)
+        return result
+
+    def _places(self, kinds: set[str], media: Media, location: Any) -> Iterator[tuple[Twin, Any]]:
+        """The media with such parameters, and the masks of the locations in them."""
         for number, twin in enumerate(self.twins, 1):
             if twin.kinds & kinds:
-                here = media.inside(location) if len(self.twins) == 1 else location == number
-                result = dr.select(here, question(twin, here), result)
-        return result
+                alone = len(self.twins) == 1
+                yield twin, media.inside(location) if alone else location == number
 
     def share(self, media: Media, mei: Any, weight: Any) -> Callable[..., Any]:
         """What counts the derivative of a transmittance, ``weight`` times its logarithm's."""
@@ -284,11 +289,8 @@ class Adjoint:
     ) -> Any:
         """Count derivatives by the densities of grids along a line, ``weight`` times those of the
         logarithm of a flight's density or of a transmittance."""
-        for number, twin in enumerate(self.twins, 1):
-            if "density" not in twin.kinds:
-                continue
-            within = media.inside(location) if len(self.twins) == 1 else location == number
-            within &= here
+        for twin, within in self._places({"density"}, media, location):
+            within = within & here
             slope = dr.detach(weight) * twin.slope(from_particle, collided, column, mei)
             slope = dr.select(within, slope, 0)
             o, d, length = (dr.detach(part) for part in line)
@@ -405,7 +407,6 @@ class Adjoint:
         touched = self._of_media(
             {"albedo", "phase"}, media, location, lambda twin, mask: mi.UnpolarizedSpectrum(1)
         )
-        assert record.link is None or record.link[2] is not None
         value = albedo * phase(wo)
         if record.link:
             value = dr.select(here & (touched[0] > 0), value, dr.detach(record.link[2]))
@@ -444,8 +445,3 @@ def leave_one_out(total: Any, count: int) -> Any:
         base[k] = (dr.repeat(sums, count) - total[k]) / (count - 1)
     dr.eval(base)
     return base
-
-
-def unwanted(values: Sequence[Any]) -> bool:
-    """Whether none of some values has a derivative."""
-    return not any(dr.grad_enabled(value) for value in values)

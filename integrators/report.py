@@ -89,20 +89,22 @@ def _varying(media: Media) -> list[Finding]:
     return rows
 
 
+def _some(media: Media, fact: str, question: str, skipped: str, effect: str) -> Finding:
+    """The media for which a fact holds."""
+    names = [_medium_name(entry) for entry in media.entries if getattr(entry, fact)]
+    if not names:
+        return Finding(question, "none", f"skipped: {skipped}")
+    return Finding(question, ", ".join(names), effect)
+
+
 def _memory(media: Media) -> Finding:
-    remembering = [_medium_name(entry) for entry in media.entries if entry.remembers]
-    question = "media with memory"
-    if not remembering:
-        return Finding(question, "none", "skipped: the material that a path is in")
-    return Finding(question, ", ".join(remembering), "paths carry their material")
+    skipped, effect = "the material that a path is in", "paths carry their material"
+    return _some(media, "remembers", "media with memory", skipped, effect)
 
 
 def _emission(media: Media) -> Finding:
-    glowing = [_medium_name(entry) for entry in media.entries if entry.emits]
-    question = "media that emit"
-    if not glowing:
-        return Finding(question, "none", "skipped: emission at collisions")
-    return Finding(question, ", ".join(glowing), "added at every collision")
+    skipped, effect = "emission at collisions", "added at every collision"
+    return _some(media, "emits", "media that emit", skipped, effect)
 
 
 def _medium_name(entry: Entry) -> str:

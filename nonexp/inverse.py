@@ -7,7 +7,8 @@ every parameter and every law, for two renders each.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -49,18 +50,13 @@ def jacobian(
     parameters = mi.traverse(scene)
 
     def once(name: str, number: int) -> Any:
-        kept = _copy(parameters[name])
-        try:
-            moved = type(kept)(dr.detach(kept))
+        with _restored(parameters, name) as moved:
             dr.enable_grad(moved)
             parameters[name] = moved
             parameters.update()
             dr.set_grad(moved, dr.ones(type(moved), dr.shape(moved)))
             image = mi.render(scene, parameters, sensor=sensor, spp=spp, seed=number)
             return np.array(dr.forward_to(image))
-        finally:
-            parameters[name] = kept
-            parameters.update()
 
     return [_over(name, parameters, runs, seed, once) for name in _names(names)]
 
@@ -84,9 +80,7 @@ def differences(
     parameters = mi.traverse(scene)
 
     def once(name: str, number: int) -> Any:
-        kept = _copy(parameters[name])
-        try:
-            base = type(kept)(dr.detach(kept))
+        with _restored(parameters, name) as base:
             size = step * (float(np.abs(np.array(base)).max()) or 1.0)
             images = []
             for sign in (1, -1):
@@ -94,16 +88,20 @@ def differences(
                 parameters.update()
                 images.append(np.array(mi.render(scene, sensor=sensor, spp=spp, seed=number)))
             return (images[0] - images[1]) / (2 * size)
-        finally:
-            parameters[name] = kept
-            parameters.update()
 
     return [_over(name, parameters, runs, seed, once) for name in _names(names)]
 
 
-def _copy(value: Any) -> Any:
-    """A parameter as it is now: what ``mi.traverse`` gives changes with the scene."""
-    return type(value)(value)
+@contextmanager
+def _restored(parameters: Any, name: str) -> Iterator[Any]:
+    """A parameter without derivatives, to be changed; afterwards it is again what it was."""
+    # A copy: what mi.traverse gives changes with the scene.
+    kept = type(parameters[name])(parameters[name])
+    try:
+        yield type(kept)(dr.detach(kept))
+    finally:
+        parameters[name] = kept
+        parameters.update()
 
 
 def _names(names: str | Sequence[str]) -> Sequence[str]:

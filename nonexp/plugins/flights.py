@@ -50,14 +50,16 @@ class Choice:
     def of(wanted: str, density: Density, model: Transmittance, extinction: float) -> Choice:
         """The way for a grid with ``extinction`` where its density is 1, as the parameter
         ``tracking`` has it. ``ValueError`` if that cannot be."""
+        why = f"tracking is {wanted!r}"
+        if wanted == "regular":
+            return Choice(None, None, why)
         rate = extinction * number(model.sigma_bar)
         finest = Bounds(density, BRICK)
-        collisions, steps = rate * finest.across, density.steps_across
-        why = f"tracking is {wanted!r}"
         if wanted == "auto":
+            collisions, steps = rate * finest.across, density.steps_across
             why = f"{collisions:.3g} tentative collisions across against {steps:.3g} cells"
-        if wanted == "regular" or (wanted == "auto" and collisions >= _STEP * steps):
-            return Choice(None, None, why)
+            if collisions >= _STEP * steps:
+                return Choice(None, None, why)
         extinctions = model.extinctions
         if extinctions is None and wanted == "delta":
             raise ValueError(
