@@ -11,12 +11,13 @@ rest: the mean of the pixel's other paths makes derivatives far less noisy.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
 from nonexp.plugins.spectra import somewhere
 from nonexp.transmittance import Transmittance
@@ -53,6 +54,7 @@ class Twin:
     def __init__(self, entry: Entry, kinds: frozenset[str], leaves: Leaves) -> None:
         self.entry, self.kinds = entry, kinds
         pointer = entry.pointer
+        self.jumps: Jumps | None = None
         with dr.resume_grad():
             self._constant = None
             if self.scores:
@@ -63,6 +65,8 @@ class Twin:
             self._model = entry.model
             if "law" in kinds:
                 self._model = arrays_replaced(entry.model, leaves.of)
+            if self.scores and self._model.jumps:
+                self.jumps = Jumps(self._model.jumps)
             if "density" in kinds:
                 assert isinstance(entry, Walked)
                 self.density = entry.density.attached(mi.traverse(pointer.sigma_t)["data"].array)
@@ -72,19 +76,20 @@ class Twin:
         """Flights depend on some parameter."""
         return bool(self.kinds & {"extinction", "law", "density"})
 
-    def _at(self, mei: Any) -> Any:
+    def extinction(self, mei: Any) -> Any:
+        """Extinction, attached."""
         return self._extinction(mei) if self._constant is None else self._constant
 
     def flight(self, from_particle: Any, collided: Any, column: Any, mei: Any) -> Any:
         """Logarithm of a flight's density, or of its transmittance, for each channel."""
-        return self._flight(self._model, self._at(mei), from_particle, collided, column)
+        return self._flight(self._model, self.extinction(mei), from_particle, collided, column)
 
     def slope(self, from_particle: Any, collided: Any, column: Any, mei: Any) -> Any:
         """Derivative of :meth:`flight` by the column, not attached."""
         model = arrays_replaced(self.entry.model, dr.detach)
         column = mi.Float(dr.detach(column))
         dr.enable_grad(column)
-        extinction = dr.detach(self._at(mei))
+        extinction = dr.detach(self.extinction(mei))
         logs = self._flight(model, extinction, from_particle, collided, column)
         dr.set_grad(column, 1.0)
         return dr.detach(dr.forward_to(logs))
@@ -107,6 +112,35 @@ class Twin:
     def survival(self, from_particle: Any, column: Any, mei: Any) -> Any:
         """Logarithm of the transmittance over a column, for each channel."""
         return self.flight(from_particle, mi.Bool(False), column, mei)
+
+
+class Jumps:
+    """Where the density of a law's flights between collisions jumps.
+
+    A jump by J at depth k adds J d(tau - k) g to the derivative of what a flight collects: tau is
+    the optical depth of the place where it is k, and g what is collected after a collision there.
+    """
+
+    def __init__(self, pairs: Sequence[tuple[Any, Any]]) -> None:
+        where, height = (_joined(part) for part in zip(*pairs, strict=True))
+        self._where, self._height = where, dr.detach(height)
+        self._choice = None
+        if len(pairs) > 1:
+            self._choice = mi.DiscreteDistribution(dr.abs(self._height) * dr.detach(where))
+
+    def draw(self, u: Any) -> tuple[Any, Any]:
+        """The depth of one of them, attached, and the height of that over its probability."""
+        if self._choice is None:
+            return self._where, self._height
+        index, probability = self._choice.sample_pmf(u)
+        where = dr.gather(mi.Float, self._where, index)
+        return where, dr.gather(mi.Float, self._height, index) / probability
+
+
+def _joined(numbers: Sequence[Any]) -> Any:
+    if any(map(dr.is_array_v, numbers)):
+        return dr.concat([mi.Float(number) for number in numbers])
+    return mi.Float(np.array(numbers))
 
 
 def arrays_replaced(thing: Any, replace: Callable[[Any], Any]) -> Any:
@@ -170,6 +204,8 @@ class Record:
     and its length"""
     done: Any = None
     """the flight ends here (None: all do)"""
+    weight: Any = None
+    """the throughput where it began, with the balance of the channels at its end"""
     emission: tuple[Any, ...] | None = None
     """factor, emitter, surface, mask"""
     glow: tuple[Any, ...] | None = None
@@ -219,6 +255,15 @@ class Adjoint:
         """Some flights depend on parameters."""
         return any(twin.scores for twin in self.twins)
 
+    @property
+    def forces(self) -> bool:
+        """Some of these have densities that jump."""
+        return any(twin.jumps for twin in self.twins)
+
+    def jumping(self, media: Media, location: Any) -> Iterator[tuple[Twin, Any]]:
+        """Their media, and the masks of the locations in them."""
+        return ((twin, here) for twin, here in self._places(None, media, location) if twin.jumps)
+
     def _wants(self, *kinds: str) -> bool:
         return any(twin.kinds & set(kinds) for twin in self.twins)
 
@@ -238,10 +283,12 @@ class Adjoint:
             result = dr.select(here, question(twin, here), result)
         return result
 
-    def _places(self, kinds: set[str], media: Media, location: Any) -> Iterator[tuple[Twin, Any]]:
-        """The media with such parameters, and the masks of the locations in them."""
+    def _places(
+        self, kinds: set[str] | None, media: Media, location: Any
+    ) -> Iterator[tuple[Twin, Any]]:
+        """The media with such parameters (None: all), and the masks of the locations in them."""
         for number, twin in enumerate(self.twins, 1):
-            if twin.kinds & kinds:
+            if kinds is None or twin.kinds & kinds:
                 alone = len(self.twins) == 1
                 yield twin, media.inside(location) if alone else location == number
 
@@ -292,14 +339,20 @@ class Adjoint:
         for twin, within in self._places({"density"}, media, location):
             within = within & here
             slope = dr.detach(weight) * twin.slope(from_particle, collided, column, mei)
-            slope = dr.select(within, slope, 0)
-            o, d, length = (dr.detach(part) for part in line)
-            if self.mode == dr.ADMode.Forward:
-                change = walk.spread(twin.density, o, d, length, None, within)
-                tangent = tangent + slope * change
-            else:
-                counted = dr.sum(self.delta * slope)
-                walk.spread(twin.density, o, d, length, counted, within & (counted != 0))
+            tangent = self.spread(tangent, twin, within, slope, line)
+        return tangent
+
+    def spread(
+        self, tangent: Any, twin: Twin, within: Any, slope: Any, line: tuple[Any, Any, Any]
+    ) -> Any:
+        """Count derivatives by the density along a line, ``slope`` times those of its integral."""
+        slope = dr.select(within, slope, 0)
+        o, d, length = (dr.detach(part) for part in line)
+        if self.mode == dr.ADMode.Forward:
+            change = walk.spread(twin.density, o, d, length, None, within)
+            return tangent + slope * change
+        counted = dr.sum(self.delta * slope)
+        walk.spread(twin.density, o, d, length, counted, within & (counted != 0))
         return tangent
 
     def after(
@@ -322,7 +375,7 @@ class Adjoint:
                 done = mi.Bool(True) if record.done is None else record.done
                 scored = dr.select(done, rest, radiance - record.before)
                 if self.baseline is not None:
-                    scored -= dr.select(done, carried * self.baseline, 0)
+                    scored -= dr.select(done, record.weight * self.baseline, 0)
                 terms += dr.select(inside, dr.detach(scored) * scores, 0)
                 o, length = line
                 tangent = self._densities(

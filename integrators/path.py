@@ -16,6 +16,7 @@ import mitsuba as mi
 from . import tracking
 from .adjoint import Adjoint, Record
 from .connection import BentRay, Connections, Hit, Link, Start
+from .forced import Chosen, Forced, Origin
 from .media import Media, medium_interaction, optical_depth
 from .rays import Contact
 from .spectral import at_channel, balanced
@@ -50,6 +51,8 @@ class Flight:
     """weight of each channel, with mean 1 (chromatic extinction)"""
     began: Any
     """where it did (with null surfaces, while paths are replayed)"""
+    weight: Any
+    """the throughput there (likewise)"""
     ahead: Any
     """how the next flight begins if this one ends at a collision (with memory and null surfaces)"""
 
@@ -102,6 +105,10 @@ class Path:
     glass: Glass | None
     tangent: Any
     """derivative of the radiance (while paths are replayed in forward mode)"""
+    chosen: Chosen | None
+    """one of the flights so far (while paths are replayed, where densities jump)"""
+    forced: Forced | None
+    """the flight that must end at a collision, on such paths"""
 
 
 @dataclass
@@ -147,6 +154,8 @@ class Arrival:
     """weight of each channel"""
     ahead: Any = None
     """how the next flight would begin at a collision (with memory)"""
+    blocked: Any = None
+    """before it reached the depth at which it must collide"""
 
     @property
     def start(self) -> tuple[Any, ...]:
@@ -199,6 +208,8 @@ class Events:
     wavelengths: Any
     adjoint: Adjoint | None = None
     """what collects derivatives, while paths are replayed"""
+    origin: Origin | None = None
+    """where paths begin whose first flight must end at a collision"""
 
     @property
     def keeps(self) -> bool:
@@ -215,6 +226,11 @@ class Events:
         return self.nee.needs.null_surfaces
 
     @property
+    def resumes(self) -> bool:
+        """Flights may go on where an event begins."""
+        return self.null or self.origin is not None
+
+    @property
     def chromatic(self) -> bool:
         return self.hero is not None
 
@@ -226,18 +242,20 @@ class Events:
     def begin(self, ray: Any, medium: Any, active: Any) -> Path:
         """The path at the sensor."""
         media, null, chromatic = self.media, self.null, self.chromatic
+        resumes, replayed = self.resumes, self.adjoint is not None
         flight = glass = None
         if media:
             flight = Flight(
                 location=media.at(mi.MediumPtr(medium)),
                 from_particle=mi.UInt32(0) if media.remembers else mi.Bool(False),
                 offset=mi.Vector3f(0),
-                fresh=mi.Bool(True) if null else None,
-                tau=mi.Float(0) if null else None,
-                drawn=mi.Float(0) if null and self.keeps else None,
-                flown=mi.Float(0) if null and self.keeps else None,
+                fresh=mi.Bool(True) if resumes else None,
+                tau=mi.Float(0) if resumes else None,
+                drawn=mi.Float(0) if resumes and self.keeps else None,
+                flown=mi.Float(0) if resumes and self.keeps else None,
                 balance=mi.UnpolarizedSpectrum(1) if chromatic else None,
-                began=mi.Point3f(ray.o) if null and self.adjoint else None,
+                began=mi.Point3f(ray.o) if null and replayed else None,
+                weight=mi.Spectrum(1) if null and replayed else None,
                 ahead=mi.UInt32(0) if null and media.remembers else None,
             )
         if self.bent_hits:
@@ -260,7 +278,26 @@ class Events:
             flight=flight,
             glass=glass,
             tangent=self.adjoint.start() if self.adjoint else None,
+            chosen=None,
+            forced=None,
         )
+
+    def resume(self, active: Any) -> Path:
+        """The path that begins at its origin."""
+        assert self.origin
+        at, tau = self.origin.flight, self.origin.tau
+        s = self.begin(mi.Ray3f(at.p, at.d, self.time, self.wavelengths), None, active)
+        flight = s.flight
+        assert flight
+        s.depth, s.eta, s.throughput = at.depth, at.eta, at.throughput
+        flight.location, flight.from_particle = at.location, mi.Bool(True)
+        flight.fresh, flight.tau = mi.Bool(False), mi.Float(tau)
+        if self.keeps:
+            flight.drawn = mi.Float(tau)
+        if self.chromatic:
+            flight.balance = self.origin.balance
+        s.forced = Forced(mi.Bool(active), mi.Float(0))
+        return s
 
     def event(self, sampler: mi.Sampler, s: Path) -> tuple[mi.Sampler, Path]:
         """The body of the loop."""
@@ -268,6 +305,15 @@ class Events:
         a = self.fly(sampler, s)
         if record and s.flight:
             record.flight = self._flown(s, s.flight, a)
+            begun = s.flight.weight if self.null else s.throughput
+            record.weight = begun * a.balance if self.chromatic else begun
+        if s.forced:
+            assert self.origin
+            a.blocked = s.forced.pending & ~a.collided
+            length = dr.dot(a.p - self.origin.flight.p, s.d)
+            ends = s.active & s.forced.pending & a.collided
+            s.forced.length = dr.select(ends, length, s.forced.length)
+            s.forced.pending &= ~ends
         emission = self.emission(s, a)
         a.on_surface &= a.si.is_valid()
         n = dr.select(a.collided, 0, a.si.n) if self.media else a.si.n
@@ -301,7 +347,20 @@ class Events:
             if self.null and s.flight:
                 record.done = s.flight.fresh | ~s.active
             s.tangent = self.adjoint.after(self.media, s.tangent, record, collected, carried)
+            if s.chosen:
+                self._offer(self.adjoint, s, s.chosen, a)
         return sampler, s
+
+    def _offer(self, adjoint: Adjoint, s: Path, chosen: Chosen, a: Arrival) -> None:
+        """The flight that begins here, if its density jumps."""
+        assert self.media and s.flight
+        jumps = mi.Bool(False)
+        for _, here in adjoint.jumping(self.media, s.flight.location):
+            jumps |= here
+        throughput = s.throughput
+        if self.chromatic:
+            throughput = throughput * s.flight.balance
+        chosen.offer(s, a.p, throughput, s.active & a.collided & jumps)
 
     # ------------------------------------------------------------- flight to the next event
 
@@ -329,7 +388,7 @@ class Events:
             origin.ahead = ahead = (
                 dr.select(flight.fresh, ahead, flight.ahead) if self.null else ahead
             )
-        if self.null:
+        if self.resumes:
             drawn = dr.select(flight.fresh, tau, flight.drawn) if self.keeps else None
             tau = dr.select(flight.fresh, tau, flight.tau)
         gap = dr.dot(flight.offset, s.d)
@@ -365,7 +424,7 @@ class Events:
             inside, sigma_t, tau, column, drawn, tracked, ahead,
         )  # fmt: skip
         if self.keeps:
-            a.reached = column + flight.flown if self.null else column
+            a.reached = column + flight.flown if self.resumes else column
         if self.chromatic:
             relative = extinction / dr.select(sigma_t > 0, sigma_t, 1)
             depths = dr.select(collided, relative * drawn, optical_depth(extinction, a.reached))
@@ -411,6 +470,8 @@ class Events:
         lit = a.on_surface & (emitter != None)  # noqa: E711
         if self.options.hide_emitters:
             lit &= ~a.first
+        if a.blocked is not None:
+            lit &= ~a.blocked
         if s.glass:
             lit &= ~s.glass.seen
         radiance, hit = emitter.eval(a.si, lit), None
@@ -428,6 +489,8 @@ class Events:
         straight, in_glass = mi.Bool(False), mi.Bool(False)
         if needs.smooth_surfaces:
             smooth = a.on_surface & mi.has_flag(a.bsdf.flags(), mi.BSDFFlags.Smooth)
+            if a.blocked is not None:
+                smooth &= ~a.blocked
             straight = smooth & ~a.last
             if media and s.flight and media.any("sealed"):
                 sealed = media.where("sealed", s.flight.location)
@@ -591,21 +654,25 @@ class Events:
         flight.offset = mi.Vector3f(s.o - a.p)
         beyond = self._behind(a, flight.location, s.d)
         fresh = flight.fresh
-        if self.null:
+        if self.resumes:
             fresh = flight.fresh = scattered | (beyond != flight.location)
-            flight.ahead = a.ahead
             flight.tau = dr.maximum(a.tau - a.sigma_t * a.column, 0)
+        if self.null:
+            flight.ahead = a.ahead
+        if a.blocked is not None:
+            s.active &= ~(a.blocked & fresh)
         if self.chromatic:
             balance = a.balance
-            if self.null:
+            if self.resumes:
                 # Tracked flights have no memory: each stretch counts by itself.
                 done = fresh | a.tracked if media.tracks else fresh
                 balance = dr.select(done, balance, flight.balance)
             flight.balance = mi.UnpolarizedSpectrum(balance)
-        if self.null and self.keeps:
+        if self.resumes and self.keeps:
             flight.drawn, flight.flown = a.drawn, dr.select(fresh, 0, a.reached)
             if self.adjoint:
                 flight.began = dr.select(fresh, a.p, flight.began)
+                flight.weight = dr.select(fresh, s.throughput, flight.weight)
             flight.from_particle = dr.select(fresh, a.from_particle, flight.from_particle)
         else:
             flight.from_particle = a.from_particle

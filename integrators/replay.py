@@ -114,10 +114,10 @@ def _kind(medium: Any, key: str, path: str) -> str:
                 "and the parameter extinction"
             )
         kind = "density"
-    if kind in ("extinction", "law", "density") and model is not None and not model.smooth:
+    if kind in ("extinction", "law", "density") and model is not None and model.jumps is None:
         raise ValueError(
-            f"no derivative by {key}: flights of {type(model).__name__} have point masses or "
-            "densities that jump; use nonexp.inverse.differences"
+            f"no derivative by {key}: flights of {type(model).__name__} have point masses, or "
+            "densities that are not bounded or not declared; use nonexp.inverse.differences"
         )
     return kind
 

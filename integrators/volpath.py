@@ -12,6 +12,7 @@ import mitsuba as mi
 
 from nonexp.plugins.values import choice
 
+from . import forced
 from .adjoint import Adjoint
 from .connection import Connections
 from .glass import refraction
@@ -107,12 +108,17 @@ class NonexpVolpath(mi.SamplingIntegrator):
         events = Events(self, nee, connects, hero, ray.time, ray.wavelengths, adjoint)
         backward = adjoint is not None and adjoint.mode == dr.ADMode.Backward
         with dr.isolate_grad(when=backward):
+            start = events.begin(ray, medium, active)
+            if adjoint and adjoint.forces and start.flight:
+                start.chosen = forced.Chosen.none(start.flight.location, sampler)
             _, path = dr.while_loop(
-                (sampler, events.begin(ray, medium, active)),
+                (sampler, start),
                 lambda sampler, s: s.active,
                 events.event,
                 label="nonexp: path",
             )
+        if adjoint and path.chosen:
+            path.tangent = forced.count(events, path.chosen, path.tangent, sampler, adjoint)
         if adjoint and backward:
             adjoint.leaves.pass_on()
         # Where reverse mode fails on a loop of which results are gone, Dr.Jit 1.5 crashes at exit.

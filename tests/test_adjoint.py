@@ -101,12 +101,14 @@ def test_an_absorbing_ball(case: Any, exact: float) -> None:
     assert_near(means(made, [SIGMA], 2**10, 6), np.array([exact]), 0.05)
 
 
-def _smooth() -> list[Any]:
-    return [case for case in QUICK if law(case).smooth]
+def _claimed() -> list[Any]:
+    return [case for case in QUICK if law(case).jumps is not None]
 
 
 @pytest.mark.parametrize(
-    "case", quick(_smooth(), lambda case: case[0] in ("gamma", "davis_weinstein")), ids=model_id
+    "case",
+    quick(_claimed(), lambda case: case[0] in ("gamma", "davis_weinstein", "quadratic")),
+    ids=model_id,
 )
 def test_a_white_furnace_does_not_depend_on_extinction(case: Any) -> None:
     """Every law that claims derivatives. One path per pixel: no mean is taken off."""
@@ -123,7 +125,7 @@ def test_a_white_furnace_does_not_depend_on_extinction(case: Any) -> None:
 @pytest.mark.parametrize("case", MODELS, ids=model_id)
 def test_laws_that_claim_none_are_refused(case: Any) -> None:
     model = law(case)
-    if model.smooth or float(model.sigma_bar) == 0:
+    if model.jumps is not None or float(model.sigma_bar) == 0:
         return
     made = scene(sensor=orthographic(), ball=ball(medium(*case)), sky=FURNACE)
     parameters = mi.traverse(made)
@@ -161,7 +163,14 @@ def boxed(inside: Any) -> dict[str, Any]:
     return box(inside, [-1, -1, -1], [1, 1, 1])
 
 
+def quadratic(**kw: Any) -> dict[str, Any]:
+    return medium("quadratic", {"b": 1.5}, **{"sigma_t": 1.5, "albedo": 0.8, **kw})
+
+
+SAME = {"type": "ref", "id": "same"}
+TABLE = {"tau": (0.5, 1.0, 2.0), "ff": (0.65, 0.4, 0.1)}
 LAW = "ball.interior_medium.transmittance.alpha"
+END = "ball.interior_medium.transmittance.b"
 CASES: dict[str, tuple[dict[str, Any], list[str]]] = {
     "ball": (
         {"ball": ball(gamma(phase={"type": "hg", "g": 0.3})), "lamp": LAMP, "floor": FLOOR},
@@ -196,6 +205,33 @@ CASES: dict[str, tuple[dict[str, Any], list[str]]] = {
     "grid": (
         {"ball": boxed(varied()), "sky": FURNACE},
         ["ball.interior_medium.scale", ALBEDO, LAW],
+    ),
+    "jump": (
+        {"ball": ball(quadratic()), "lamp": LAMP, "floor": FLOOR},
+        [SIGMA, ALBEDO, END, "floor.bsdf.reflectance.value"],
+    ),
+    "jump, chromatic, null surfaces": (
+        {
+            "ball": boxed(medium("hard_rod", {"d": 0.4, "l": 0.6}, sigma_t=RGB, id="same")),
+            "cut": box(SAME, [-0.5] * 3, [0.5] * 3) | {"exterior": SAME},
+            "lamp": LAMP,
+            "sky": FURNACE,
+        },
+        [f"cut.interior_medium.{part}" for part in ("sigma_t.value.value", "transmittance.d")],
+    ),
+    "jumps, two media": (
+        {
+            "ball": ball(medium("tabulated", TABLE, sigma_t=1.5, albedo=0.9), radius=0.7)
+            | {"center": [-0.6, 0, 0]},
+            "other": ball(quadratic(), radius=0.5) | {"center": [0.9, 0, 0]},
+            "sky": FURNACE,
+        },
+        [SIGMA, "other.interior_medium.sigma_t.value.value"],
+    ),
+    "jump, glass": ({"ball": ball(quadratic(), "dielectric"), "lamp": LAMP}, [SIGMA, END]),
+    "jump, grid": (
+        {"ball": boxed(varied(transmittance=quadratic()["transmittance"])), "sky": FURNACE},
+        ["ball.interior_medium.scale", ALBEDO],
     ),
 }
 
@@ -287,7 +323,9 @@ def voxels(kind: str) -> tuple[dict[str, Any], str]:
 # ---------------------------------------------------------------------- the replay itself
 
 
-@pytest.mark.parametrize("name", thorough("null surfaces", "ball", "glass", "chromatic", "grid"))
+@pytest.mark.parametrize(
+    "name", thorough("null surfaces", "ball", "glass", "chromatic", "grid", "jump")
+)
 def test_forward_and_backward_agree_on_the_same_paths(name: str) -> None:
     parts, names = CASES[name]
     made = scene({"type": "nonexp_volpath", "max_depth": 8}, **CAMERA, **parts)

@@ -11,6 +11,7 @@
 ``report``         tables and plots
 ``run``            a whole run, and its files
 ``scaling``        how time and memory grow with samples, pixels, media, depth, thickness
+``gradients``      derivatives of images beside Mitsuba's ``prbvolpath``
 =================  ===============================================================================
 
 A new scene or competitor is one more entry in its table.

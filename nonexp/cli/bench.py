@@ -45,6 +45,7 @@ def bench(
     list_: Annotated[bool, Parameter("--list", group=WHAT)] = False,
     compare: Annotated[tuple[Path, ...], argument("JSON", group=WHAT, consume_multiple=True)] = (),
     scaling: Annotated[bool, Parameter(group=WHAT)] = False,
+    gradients: Annotated[bool, Parameter(group=WHAT)] = False,
     rebuild_references: Annotated[bool, Parameter(group=WHAT)] = False,
     time: Annotated[float, argument("T", seconds)] = 300.0,
 ) -> int:
@@ -65,6 +66,7 @@ def bench(
         compare: print what changed beyond the noise: from OLD.json to a run made now, or from
             OLD.json to NEW.json
         scaling: measure how time and memory grow with samples, pixels, media, depth, thickness
+        gradients: measure derivatives of images, beside prbvolpath (3 minutes)
         rebuild_references: render the references anew, and end
         time: time per reference, as in 10m (default: 5m; the dragon gets three times as much)
     """
@@ -90,6 +92,8 @@ def bench(
         _check_out(out)
         if scaling:
             return _scaling(out, seed, quick)
+        if gradients:
+            return _gradients(out, seed, quick)
         done = _measure(chosen, folder, out, seed, quick)
         return _show_changes(old[0], done) if old else 0
 
@@ -127,6 +131,19 @@ def _scaling(out: Path, seed: int, quick: bool) -> int:
     print()
     about = results.environment(variant, seed, quick)
     for path in scaling.write(samples, about, out):
+        print(path)
+    return 0
+
+
+def _gradients(out: Path, seed: int, quick: bool) -> int:
+    from ..bench import gradients, results
+
+    variant = mi.variant() or ""
+    with _progress() as show:
+        rows = gradients.run(variant=variant, seed=seed, quick=quick, on_pass=show)
+    print("\n".join(gradients.table(rows)))
+    print()
+    for path in gradients.write(rows, results.environment(variant, seed, quick), out):
         print(path)
     return 0
 

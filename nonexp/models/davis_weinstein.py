@@ -53,8 +53,8 @@ class DavisWeinstein(Transmittance):
         return with_derivative(at.sigma_bar, (self.c, lambda _: at.sigma_bar * at.log_sigma_bar_c))
 
     @property
-    def smooth(self) -> bool:
-        return True
+    def jumps(self) -> tuple[tuple[Any, Any], ...] | None:
+        return ()
 
     def ff(self, tau: Any) -> Any:
         at = _At(tau, self)

@@ -63,8 +63,8 @@ class Ensemble(Transmittance):
         return self._nodes
 
     @property
-    def smooth(self) -> bool:
-        return True
+    def jumps(self) -> tuple[tuple[Any, Any], ...] | None:
+        return ()
 
     def ff(self, tau: Any) -> Any:
         rest = self._transform(0, tau)

@@ -36,8 +36,8 @@ class Erlang(Transmittance):
         return self.rate / self.k
 
     @property
-    def smooth(self) -> bool:
-        return True
+    def jumps(self) -> tuple[tuple[Any, Any], ...] | None:
+        return ()
 
     def ff(self, tau: Any) -> Any:
         weights = [(self.k - i) / self.k for i in range(self.k)]

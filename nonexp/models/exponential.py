@@ -25,8 +25,8 @@ class Exponential(Transmittance):
         return (1.0,), (1.0,)
 
     @property
-    def smooth(self) -> bool:
-        return True
+    def jumps(self) -> tuple[tuple[Any, Any], ...] | None:
+        return ()
 
     def ff(self, tau: Any) -> Any:
         return dr.exp(-tau)

@@ -93,8 +93,8 @@ class ExponentialMixture(Transmittance):
         return [number(s) for s in self.sigma], [w / sum(weight) for w in weight]
 
     @property
-    def smooth(self) -> bool:
-        return True
+    def jumps(self) -> tuple[tuple[Any, Any], ...] | None:
+        return ()
 
     def ff(self, tau: Any) -> Any:
         return self._mean(self.weight, tau) / sum(self.weight)

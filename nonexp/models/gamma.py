@@ -39,8 +39,8 @@ class Gamma(Transmittance):
         return nodes_of_law("Gamma", "gamma", (alpha, 0.0, 1 / alpha))
 
     @property
-    def smooth(self) -> bool:
-        return True
+    def jumps(self) -> tuple[tuple[Any, Any], ...] | None:
+        return ()
 
     def ff(self, tau: Any) -> Any:
         return dr.exp(-scaled_log1p(tau, self.alpha))

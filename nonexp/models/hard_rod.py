@@ -37,6 +37,10 @@ class HardRod(Transmittance):
     def kinks(self) -> tuple[Any, ...]:
         return (self.d,)
 
+    @property
+    def jumps(self) -> tuple[tuple[Any, Any], ...] | None:
+        return ((self.d, 1 / self.l),)
+
     def ff(self, tau: Any) -> Any:
         return (self.l * self.pf(tau) + dr.maximum(self.d - tau, 0)) / (self.d + self.l)
 

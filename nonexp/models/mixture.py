@@ -77,8 +77,15 @@ class Mixture(Transmittance):
         return np.concatenate([s for s, _ in found]), np.concatenate(weights)
 
     @property
-    def smooth(self) -> bool:
-        return all(model.smooth or number(model.sigma_bar) == 0 for model in self.models)
+    def jumps(self) -> tuple[tuple[Any, Any], ...] | None:
+        merged: list[tuple[Any, Any]] = []
+        for rate, model in zip(self._rates, self.models, strict=True):
+            if number(rate) == 0:
+                continue
+            if model.jumps is None:
+                return None
+            merged += [(where, rate / sum(self._rates) * height) for where, height in model.jumps]
+        return tuple(merged)
 
     def ff(self, tau: Any) -> Any:
         return _mean(self.weight, [model.ff(tau) for model in self.models])

@@ -34,8 +34,10 @@ class BoundedPower:
         return (self.b,)
 
     @property
-    def smooth(self) -> bool:
-        return number(self.n) > 3  # else the variance of derivatives is infinite
+    def jumps(self) -> tuple[tuple[Any, Any], ...] | None:
+        if number(self.n) == 2:
+            return ((self.b, -1 / self.b),)
+        return () if number(self.n) > 3 else None  # else the variance of derivatives is infinite
 
     def ff(self, tau: Any) -> Any:
         return self._power(tau, self.n)

@@ -127,13 +127,14 @@ class Transmittance(ABC):
         return None
 
     @property
-    def smooth(self) -> bool:
-        """Whether ``pp`` is continuous, from 0 on, and has no atoms, whatever the parameters.
+    def jumps(self) -> tuple[tuple[Any, Any], ...] | None:
+        """Where ``pp`` jumps, as pairs (tau, pp beyond it less pp before it); None: not declared.
 
-        Then derivatives of images by extinction and by the parameters are right without more. A law
-        declares it here; where it does not, they are refused.
+        Derivatives of images by extinction and by the parameters of a law need them. A law without
+        atoms whose ``pp`` is continuous returns ``()``. Where a law declares nothing, as by
+        default, where it has atoms, and where ``pp`` is not bounded, derivatives are refused.
         """
-        return False
+        return None
 
     @abstractmethod
     def ff(self, tau: Any) -> Any:

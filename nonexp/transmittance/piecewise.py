@@ -26,6 +26,7 @@ __all__ = ["Curve", "Piecewise", "hermite"]
 
 _FARTHEST = 3e38  # finite in either precision
 _LEAST = 1e-37  # not subnormal in either
+_MOST_JUMPS = 1e4  # of pp, in all, times their depths; 1 to 2 where pp falls
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,6 +99,7 @@ class _Tables(NamedTuple):
     by_pf: Table
     whole: Table
     kinks: tuple[float, ...]
+    jumps: tuple[tuple[float, float], ...]
 
 
 class Piecewise(Transmittance):
@@ -138,7 +140,9 @@ class Piecewise(Transmittance):
         pieces[-1] = end, 1, pf[-1] if fading else 0, 0, rest, rate * pf[-1]
         whole = [slope[0], end, rest, pf[-1], rate, 1 / rate if fading else 0.0]
         jumps = np.flatnonzero(np.diff(pieces[:, 5]) != 0) + 1
-        kinks = {*knots[jumps[jumps > 1]].tolist(), *(where for where, _ in _atoms(curve))}
+        jumps = jumps[jumps > 1]
+        heights = np.diff(pieces[:, 5])[jumps - 1]
+        kinks = {*knots[jumps].tolist(), *(where for where, _ in _atoms(curve))}
         return _Tables(
             knots=Table(knots[:, None]),
             pieces=Table(pieces),
@@ -146,6 +150,7 @@ class Piecewise(Transmittance):
             by_pf=Table(-pf[:, None]),
             whole=Table([whole]),
             kinks=tuple(sorted(kinks)),
+            jumps=tuple(zip(knots[jumps].tolist(), heights.tolist(), strict=True)),
         )
 
     @property
@@ -159,6 +164,12 @@ class Piecewise(Transmittance):
     @property
     def kinks(self) -> tuple[Any, ...]:
         return self._tables.kinks
+
+    @property
+    def jumps(self) -> tuple[tuple[Any, Any], ...] | None:
+        # Ramps between neighbouring numbers are as good as atoms.
+        total = sum(where * abs(height) for where, height in self._tables.jumps)
+        return None if self.atoms or total > _MOST_JUMPS else self._tables.jumps
 
     def ff(self, tau: Any) -> Any:
         depth, part, fade, (pf, rise, ff, _) = self._at(tau)
