@@ -250,13 +250,13 @@ def test_mixtures_of_exponentials_by_null_collisions(case: Case) -> None:
     walked, tracked = (
         passes(
             scene(**around(varied(noise(), key, parameters, tracking=t, scale=4.0, albedo=0.8))),
-            2**10,
+            2**9,
             i,
             3,
         )
         for i, t in enumerate(("regular", "delta"))
     )
-    assert_same(walked, tracked, 0.05)
+    assert_same(walked, tracked, 0.07)
 
 
 # ---------------------------------------------------------------------- against Mitsuba
@@ -285,9 +285,9 @@ PLAIN = varied(noise(), scale=4.0, albedo={"type": "rgb", "value": [0.9, 0.7, 0.
 )
 def test_exponential_grids_against_volpath(inside: dict[str, Any]) -> None:
     """By walks: null collisions are compared with them."""
-    right = passes(scene("volpath", **around(stock(inside))), 2**10, 1, 3)
+    right = passes(scene("volpath", **around(stock(inside))), 2**9, 1, 3)
     inside = inside | {"tracking": "regular"}
-    assert_same(passes(scene("nonexp_volpath", **around(inside)), 2**10, 2, 3), right, 0.06)
+    assert_same(passes(scene("nonexp_volpath", **around(inside)), 2**9, 2, 3), right, 0.085)
 
 
 @functools.cache
@@ -440,8 +440,8 @@ def test_leaving_it_out_changes_nothing(key: str) -> None:
     far = {"far": ball(medium(), radius=0.1) | {"center": [0, 0, 90]}}
     assert SceneNeeds.of(scene(**parts)).shell
     assert not SceneNeeds.of(scene(**parts, **far)).shell
-    got, right = passes(scene(**parts), 2**10, 1, 3), passes(scene(**parts, **far), 2**10, 2, 3)
-    assert_same(got, right, 0.05)
+    got, right = passes(scene(**parts), 2**8, 1, 3), passes(scene(**parts, **far), 2**8, 2, 3)
+    assert_same(got, right, 0.1)
 
 
 @pytest.mark.parametrize("key", ["linear"])
@@ -456,8 +456,8 @@ def test_a_lamp_inside(key: str) -> None:
     parts = {**CAMERA, "lamp": lamp, "thing": THING, "ground": GROUND}
     inside = varied(np.ones((2, 3, 4)), key, scale=1.5, albedo=0.9)
     same = medium(key, sigma_t=1.5, albedo=0.9)
-    got = passes(scene(**parts, **cube(inside)), 2**12, 1, 3)
-    assert_same(got, passes(scene(**parts, **cube(same)), 2**12, 2, 3), 0.08)
+    got = passes(scene(**parts, **cube(inside)), 2**10, 1, 3)
+    assert_same(got, passes(scene(**parts, **cube(same)), 2**10, 2, 3), 0.16)
 
 
 def test_a_moved_thing_is_noticed_where_it_is_left_out() -> None:
@@ -523,7 +523,7 @@ def test_updates_are_those_of_a_new_medium() -> None:
     parameters[keys["transmittance.alpha"]] = 0.4
     parameters.update()
     fresh = scene(**around(varied(new, "gamma", {"alpha": 0.4}, scale=5.0, albedo=0.9)))
-    assert np.array_equal(radiance(made, 2**10, 1), radiance(fresh, 2**10, 1))
+    assert np.array_equal(radiance(made, 2**7, 1), radiance(fresh, 2**7, 1))
 
 
 @pytest.mark.parametrize("tracking", ["regular", *thorough("delta")])
@@ -540,7 +540,7 @@ def test_a_render_can_be_frozen(tracking: str) -> None:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(rays, "MOST_SPHERES", 0)  # frozen functions do not tell spheres apart
-        for seed in range(4):
+        for seed in range(3):
             replayed = np.array(frozen(made, mi.UInt32(seed)))
             assert np.array_equal(replayed, np.array(mi.render(made, spp=4, seed=seed)))
             parameters[data] = parameters[data] * 1.5
