@@ -54,7 +54,6 @@ class Twin:
     def __init__(self, entry: Entry, kinds: frozenset[str], leaves: Leaves) -> None:
         self.entry, self.kinds = entry, kinds
         pointer = entry.pointer
-        self.jumps: Jumps | None = None
         with dr.resume_grad():
             self._constant = None
             if self.scores:
@@ -62,11 +61,19 @@ class Twin:
                 self._extinction = extinction or stock_extinction(pointer, entry.chromatic)
                 if entry.constant:
                     self._constant = leaves.of(self._extinction(somewhere()))
-            self._model = entry.model
+            self._law = entry.model
             if "law" in kinds:
-                self._model = arrays_replaced(entry.model, leaves.of)
-            if self.scores and self._model.jumps:
-                self.jumps = Jumps(self._model.jumps)
+                self._law = arrays_replaced(entry.model, leaves.of)
+            self._albedo = None
+            if "albedo" in kinds and "albedo.value.value" in mi.traverse(pointer):
+                if not mi.is_spectral:
+                    self._albedo = leaves.of(
+                        mi.UnpolarizedSpectrum(entry.albedo(somewhere(), True))
+                    )
+            self._g = None
+            phase = pointer.phase_function()
+            if "phase" in kinds and phase.class_name() == "HGPhaseFunction":
+                self._g = leaves.of(mi.traverse(phase)["g"])
             if "density" in kinds:
                 assert isinstance(entry, Walked)
                 self.density = entry.density.attached(mi.traverse(pointer.sigma_t)["data"].array)
@@ -76,13 +83,45 @@ class Twin:
         """Flights depend on some parameter."""
         return bool(self.kinds & {"extinction", "law", "density"})
 
+    @property
+    def jumps(self) -> bool:
+        """These have densities that jump."""
+        return self.scores and bool(self.entry.model.jumps)
+
+    @property
+    def model(self) -> Any:
+        """The law, attached."""
+        return self._law if self._law is self.entry.model else _now(self._law)
+
     def extinction(self, mei: Any) -> Any:
         """Extinction, attached."""
-        return self._extinction(mei) if self._constant is None else self._constant
+        if self._constant is None:
+            return self._extinction(mei)
+        return _now(self._constant)
+
+    def albedo(self, mei: Any, active: Any) -> Any:
+        """Albedo, attached."""
+        if self._albedo is None:
+            return self.entry.albedo(mei, active)
+        return _now(self._albedo)
+
+    def phase(self, mei: Any, direction: Any, active: Any) -> Any:
+        """Value of the phase function, attached.
+
+        That of Henyey and Greenstein is evaluated here: its one parameter is then a leaf.
+        """
+        if self._g is None:
+            value, _ = self.entry.pointer.phase_function().eval_pdf(
+                mi.PhaseFunctionContext(None), mei, direction, active
+            )
+            return mi.UnpolarizedSpectrum(value)
+        g = _now(self._g)
+        square = 1 + g * (g + 2 * dr.dot(mei.wi, direction))
+        return mi.UnpolarizedSpectrum((1 - g * g) / (4 * dr.pi * square * dr.sqrt(square)))
 
     def flight(self, from_particle: Any, collided: Any, column: Any, mei: Any) -> Any:
         """Logarithm of a flight's density, or of its transmittance, for each channel."""
-        return self._flight(self._model, self.extinction(mei), from_particle, collided, column)
+        return self._flight(self.model, self.extinction(mei), from_particle, collided, column)
 
     def slope(self, from_particle: Any, collided: Any, column: Any, mei: Any) -> Any:
         """Derivative of :meth:`flight` by the column, not attached."""
@@ -144,11 +183,14 @@ def _joined(numbers: Sequence[Any]) -> Any:
 
 
 def arrays_replaced(thing: Any, replace: Callable[[Any], Any]) -> Any:
-    """A copy of a law with other arrays."""
+    """An array, or a copy of a law, with other arrays; those that leaves stand for are theirs."""
+    if isinstance(thing, Leaf):
+        return replace(thing.now)
     if dr.is_array_v(thing):
         return replace(thing)
     if isinstance(thing, tuple | list):
-        return type(thing)(arrays_replaced(item, replace) for item in thing)
+        items = [arrays_replaced(item, replace) for item in thing]
+        return type(thing)(*items) if hasattr(thing, "_fields") else type(thing)(items)
     if isinstance(thing, Transmittance):
         twin = copy.copy(thing)
         for name, value in vars(thing).items():
@@ -157,37 +199,79 @@ def arrays_replaced(thing: Any, replace: Callable[[Any], Any]) -> Any:
     return thing
 
 
-class Leaves:
-    """Stand-ins, by which the loop is differentiated, for values that depend on parameters.
+def _now(thing: Any) -> Any:
+    """The same with what leaves are at present."""
+    return arrays_replaced(thing, lambda array: array)
 
-    Derivatives inside of a loop end there. Their tangents go in before it in forward mode, and
-    what they collect is passed on after it in backward mode.
+
+class Leaf:
+    """Stands, inside of a loop, for an array that depends on parameters."""
+
+    def __init__(self, value: Any) -> None:
+        self.value = value
+        self.array = type(value)(dr.detach(value))
+        dr.make_opaque(self.array)
+        self.now = self.array
+        """the same, attached for the present event"""
+
+
+class Leaves:
+    """All of these.
+
+    Derivatives inside of a loop end there. In forward mode their tangents go in before it. In
+    backward mode each path collects its own, event by event, and what all have collected is passed
+    on after the loop.
     """
 
     def __init__(self, mode: dr.ADMode) -> None:
-        self._mode = mode
-        self._pairs: list[tuple[Any, Any]] = []
+        self._forward = mode == dr.ADMode.Forward
+        self._leaves: list[Leaf] = []
 
     def of(self, value: Any) -> Any:
         """The stand-in of an array, which is itself where nothing depends on parameters."""
         if not dr.grad_enabled(value):
             return value
-        leaf = type(value)(dr.detach(value))
-        dr.make_opaque(leaf)
-        dr.enable_grad(leaf)
-        if self._mode == dr.ADMode.Forward:
+        leaf = Leaf(value)
+        if self._forward:
+            dr.enable_grad(leaf.now)
             tangent = dr.forward_to(value, flags=dr.ADFlag.ClearInterior)
-            dr.set_grad(leaf, dr.detach(tangent))
-        self._pairs.append((value, leaf))
+            dr.set_grad(leaf.now, dr.detach(tangent))
+        self._leaves.append(leaf)
         return leaf
 
-    def pass_on(self) -> None:
-        """Backward, what the stand-ins have collected."""
+    def none(self) -> tuple[Any, ...]:
+        """What a path has collected at its start, in backward mode."""
+        return tuple(dr.zeros(type(leaf.array)) for leaf in self._leaves)
+
+    def renew(self, active: Any) -> None:
+        """Begin to collect, in backward mode: each path by itself (as wide as ``active``)."""
+        if self._forward:
+            return
+        for leaf in self._leaves:
+            leaf.now = dr.select(active, leaf.array, dr.ones(type(leaf.array)))
+            dr.enable_grad(leaf.now)
+
+    def collected(self, so_far: tuple[Any, ...]) -> tuple[Any, ...]:
+        """What paths have collected, and what has come since :meth:`renew`."""
+        found = []
+        for before, leaf in zip(so_far, self._leaves, strict=True):
+            found.append(before + dr.grad(leaf.now))
+            dr.clear_grad(leaf.now)
+        return tuple(found)
+
+    def pass_on(self, collected: tuple[Any, ...]) -> None:
+        """What all paths have collected."""
+        dr.eval(collected)  # together: a sum evaluates what it adds
+        gradients = [_total(dr.detach(part)) for part in collected]
+        dr.eval(gradients)
         with dr.resume_grad():
-            for value, leaf in self._pairs:
-                gradient = dr.grad(leaf)
-                dr.eval(gradient)
-                dr.backward_from(value * gradient)
+            for gradient, leaf in zip(gradients, self._leaves, strict=True):
+                dr.backward_from(leaf.value * gradient)
+
+
+def _total(value: Any) -> Any:
+    """Sum over all paths, for each channel."""
+    return dr.sum(value) if dr.depth_v(value) == 1 else type(value)(*map(dr.sum, value))
 
 
 # --------------------------------------------------------------------- one event
@@ -247,8 +331,8 @@ class Adjoint:
             )
 
     def start(self) -> Any:
-        """The derivative that a path has collected; None in backward mode."""
-        return mi.Spectrum(0) if self.mode == dr.ADMode.Forward else None
+        """The derivative that a path has collected: of the radiance, or backward by leaves."""
+        return mi.Spectrum(0) if self.mode == dr.ADMode.Forward else self.leaves.none()
 
     @property
     def scores(self) -> bool:
@@ -274,7 +358,7 @@ class Adjoint:
         if self.mode == dr.ADMode.Forward:
             return tangent + dr.detach(dr.forward_to(term))
         dr.backward_from(self.delta * term)
-        return tangent
+        return self.leaves.collected(tangent)
 
     def _of_media(self, kinds: set[str], media: Media, location: Any, question: Any) -> Any:
         """``question(twin, mask)`` for the medium at each location, 0 where nothing depends."""
@@ -305,6 +389,7 @@ class Adjoint:
             length: Any,
         ) -> Any:
             with dr.resume_grad():
+                self.leaves.renew(here)
                 column = dr.detach(dr.select(here & dr.isfinite(column), column, 1))
                 line = start, -mei.wi, length
                 never = mi.Bool(False)
@@ -356,13 +441,22 @@ class Adjoint:
         return tangent
 
     def after(
-        self, media: Media | None, tangent: Any, record: Record, radiance: Any, carried: Any
+        self,
+        media: Media | None,
+        tangent: Any,
+        record: Record,
+        radiance: Any,
+        carried: Any,
+        active: Any,
     ) -> Any:
-        """Count an event, after which ``radiance`` is collected; ``carried`` is the throughput at
-        its beginning."""
+        """Count an event of the ``active`` paths, after which ``radiance`` is collected.
+
+        ``carried`` is the throughput at its beginning.
+        """
         rest, later = self.total - record.before, self.total - radiance
         terms: Any = mi.Spectrum(0)
         with dr.resume_grad():
+            self.leaves.renew(active)
             if media and record.flight and self.scores:
                 location, from_particle, collided, column, mei, inside, *line = record.flight
                 column = dr.detach(dr.select(inside & dr.isfinite(column), column, 1))
@@ -433,22 +527,17 @@ class Adjoint:
         assert record.phase
         location, mei, wo, onward, here = record.phase
         wo, onward = dr.detach(wo), dr.detach(onward)
-        context = mi.PhaseFunctionContext(None)
 
         def phase(direction: Any) -> Any:
             return self._of_media(
                 {"albedo", "phase"},
                 media,
                 location,
-                lambda twin, mask: mi.UnpolarizedSpectrum(
-                    twin.entry.pointer.phase_function().eval_pdf(
-                        context, mei, direction, here & mask
-                    )[0]
-                ),
+                lambda twin, mask: twin.phase(mei, direction, here & mask),
             )
 
         albedo = self._of_media(
-            {"albedo", "phase"}, media, location, lambda twin, mask: twin.entry.albedo(mei, mask)
+            {"albedo", "phase"}, media, location, lambda twin, mask: twin.albedo(mei, mask)
         )
         if self._wants("albedo"):
             terms += dr.select(here, dr.detach(later) * log_or_zero(albedo), 0)
@@ -496,5 +585,4 @@ def leave_one_out(total: Any, count: int) -> Any:
     for k in range(len(total)):
         sums = dr.block_reduce(dr.ReduceOp.Add, total[k], count)
         base[k] = (dr.repeat(sums, count) - total[k]) / (count - 1)
-    dr.eval(base)
     return base

@@ -14,7 +14,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from .adjoint import Adjoint
+from .adjoint import Adjoint, Jumps
 from .media import medium_interaction
 from .spectral import at_channel, channels, draw_channel
 
@@ -98,16 +98,13 @@ def count(events: Any, chosen: Chosen, tangent: Any, sampler: mi.Sampler, adjoin
         hero = draw_channel(sampler.next_1d())
         alone = [dr.select(hero == k, channels(), 0) for k in range(channels())]
         balance = mi.UnpolarizedSpectrum(*alone)
-    jumps = []
-    depth, height = mi.Float(1), mi.Float(0)
-    with dr.resume_grad():
-        for twin, here in adjoint.jumping(media, chosen.location):
-            assert twin.jumps
-            where, own = twin.jumps.draw(u)
-            jumps.append((twin, here, where))
-            depth = dr.select(here, dr.detach(where), depth)
-            height = dr.select(here, own, height)
     active = chosen.weight > 0
+    adjoint.leaves.renew(active)
+    depth, height = mi.Float(1), mi.Float(0)
+    for twin, here in adjoint.jumping(media, chosen.location):
+        where, own = Jumps(twin.model.jumps).draw(u)
+        depth = dr.detach(dr.select(here, where, depth))
+        height = dr.select(here, own, height)
     plain = replace(
         events,
         nee=replace(events.nee, adjoint=None),
@@ -136,7 +133,9 @@ def count(events: Any, chosen: Chosen, tangent: Any, sampler: mi.Sampler, adjoin
     column = dr.detach(dr.select(reached, column, 0))
     terms: Any = mi.Spectrum(0)
     with dr.resume_grad():
-        for twin, here, where in jumps:
+        adjoint.leaves.renew(reached)
+        for twin, here in adjoint.jumping(media, chosen.location):
+            where, _ = Jumps(twin.model.jumps).draw(u)
             extinction = mi.UnpolarizedSpectrum(twin.extinction(mei))
             here &= reached
             terms += dr.select(here, collected * (extinction * column - where), 0)

@@ -302,6 +302,7 @@ class Events:
     def event(self, sampler: mi.Sampler, s: Path) -> tuple[mi.Sampler, Path]:
         """The body of the loop."""
         record = Record(s.radiance) if self.adjoint else None
+        counted = s.active
         a = self.fly(sampler, s)
         if record and s.flight:
             record.flight = self._flown(s, s.flight, a)
@@ -346,7 +347,9 @@ class Events:
         if self.adjoint and record:
             if self.null and s.flight:
                 record.done = s.flight.fresh | ~s.active
-            s.tangent = self.adjoint.after(self.media, s.tangent, record, collected, carried)
+            s.tangent = self.adjoint.after(
+                self.media, s.tangent, record, collected, carried, counted
+            )
             if s.chosen:
                 self._offer(self.adjoint, s, s.chosen, a)
         return sampler, s

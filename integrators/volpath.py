@@ -120,7 +120,7 @@ class NonexpVolpath(mi.SamplingIntegrator):
         if adjoint and path.chosen:
             path.tangent = forced.count(events, path.chosen, path.tangent, sampler, adjoint)
         if adjoint and backward:
-            adjoint.leaves.pass_on()
+            adjoint.leaves.pass_on(path.tangent)
         # Where reverse mode fails on a loop of which results are gone, Dr.Jit 1.5 crashes at exit.
         self._results = path if dr.grad_enabled(path) else None
         return path
