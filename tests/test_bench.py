@@ -15,12 +15,12 @@ from scipy import stats
 from tiers import THOROUGH, quick
 
 from nonexp import cli
-from nonexp.bench import measure, references, report, results, run, scaling
+from nonexp.bench import gradients, measure, references, report, results, run, scaling
 from nonexp.bench.competitors import COMPETITORS, Competitor, competing, known, reference_competitor
 from nonexp.bench.measure import Budget
 from nonexp.bench.results import CaseResult, Results, Row
 from nonexp.bench.scenes import SCENES, Case, Filling, cases
-from nonexp.bench.statistics import Reference, analyse, fit_slope
+from nonexp.bench.statistics import Estimate, Reference, analyse, fit_slope
 from nonexp.models.linear import Linear
 
 SHAPE = (12, 18, 3)
@@ -502,6 +502,38 @@ def test_a_failing_plot_leaves_the_old_one(tmp_path: Path, monkeypatch: pytest.M
     with pytest.raises(OSError, match="no space"):
         report.error_plot(made(2), path)
     assert path.read_bytes() == before and [*tmp_path.iterdir()] == [path]
+
+
+# --------------------------------------------------------------------- derivatives
+
+
+@THOROUGH
+def test_derivatives_are_those_of_prbvolpath() -> None:
+    """What is timed is right: by extinction, albedo and phase function, to 12 %."""
+    found = []
+    for plugin, law in (("nonexp_volpath", "exponential"), ("prbvolpath", None)):
+        built = gradients.build("white sky", plugin, law, 16)
+        passes = np.array([gradients.measure(built, seed, 256)[0] for seed in range(6)])
+        found.append((passes.mean(axis=0), passes.std(axis=0, ddof=1) / 6**0.5))
+    (ours, error), (theirs, other) = found
+    error = np.hypot(error, other)
+    assert np.all(5 * error[:2] < 0.12 * np.abs(theirs[:2])), error / theirs
+    assert np.all(np.abs(ours - theirs) < 5 * error), (ours, theirs, error)
+
+
+def test_a_table_of_derivatives(tmp_path: Path) -> None:
+    timing = gradients.Timing(0.05, Estimate(2.2, 2.0, 2.4))
+    gain = Estimate(30.0, 20.0, 40.0)
+    rows = [
+        gradients.Row("lamp", plugin, "exponential", name, -0.5, 0.01, timing, efficiency)
+        for plugin, efficiency in (("nonexp_volpath", gain), ("prbvolpath", None))
+        for name in gradients.PARAMETERS
+    ]
+    lines = gradients.table(rows)
+    assert len(lines) == 2 + len(rows) and "30.00 (20.00 to 40.00)" in lines[2]
+    names = [path.name for path in gradients.write(rows, {}, tmp_path)]
+    assert names == ["gradients.json", "gradients.md"]
+    assert len(json.loads((tmp_path / names[0]).read_text())["rows"]) == len(rows)
 
 
 # --------------------------------------------------------------------- scaling

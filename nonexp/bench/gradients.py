@@ -21,7 +21,7 @@ from .scenes import Filling, ball, camera, lit
 from .statistics import LEVEL, Estimate
 from .worker import Worker
 
-__all__ = ["LIGHTS", "PARAMETERS", "Row", "Timing", "run", "table", "write"]
+__all__ = ["LIGHTS", "PARAMETERS", "Row", "Timing", "build", "measure", "run", "table", "write"]
 
 PARAMETERS = ("sigma_t.value.value", "albedo.value.value", "phase_function.g")
 """Of the medium; one backward pass gives the derivatives of the image's mean by all of them."""
@@ -84,7 +84,7 @@ def run(
 
     Raises ``WorkerError`` if one fails.
     """
-    rounds, spp = (8, 32) if quick else (48, 64)
+    rounds, spp = (8, 16) if quick else (48, 64)
     rows = []
     for light in LIGHTS:
         workers = [Worker(_serve, light, plugin, law, spp, variant) for plugin, law in _LINES]
@@ -110,22 +110,27 @@ def run(
 def _serve(pipe: Any, light: str, plugin: str, law: str | None, spp: int, variant: str) -> None:
     mi.set_variant(variant)
     mi.set_log_level(mi.LogLevel.Error)
-    phase = {"type": "hg", "g": 0.3}
-    medium = Filling(law).medium(sigma_t=2.0, albedo=0.8) | {"phase": phase}
-    view = camera((32, 32), [0, 0.6, 4.5], 38)
-    integrator = {"type": plugin, "max_depth": 64, "rr_depth": 64}
-    parts = {"integrator": integrator, "camera": view, "ball": ball(medium), **LIGHTS[light]()}
-    scene = mi.load_dict({"type": "scene", **parts})
-    names = [f"ball.interior_medium.{name}" for name in PARAMETERS]
-    _measure(scene, names, 1, spp)
+    scene = build(light, plugin, law)
+    measure(scene, 1, spp)
     pipe.send(None)
     while True:
-        pipe.send(_measure(scene, names, pipe.recv(), spp))
+        pipe.send(measure(scene, pipe.recv(), spp))
 
 
-def _measure(scene: mi.Scene, names: Sequence[str], seed: int, spp: int) -> tuple[Any, ...]:
+def build(light: str, plugin: str, law: str | None, size: int = 64) -> mi.Scene:
+    """An index-matched ball under a light; a law of None is Mitsuba's own medium."""
+    phase = {"type": "hg", "g": 0.3}
+    medium = Filling(law).medium(sigma_t=2.0, albedo=0.8) | {"phase": phase}
+    view = camera((size, size), [0, 0.6, 4.5], 38)
+    integrator = {"type": plugin, "max_depth": 64, "rr_depth": 64}
+    parts = {"integrator": integrator, "camera": view, "ball": ball(medium), **LIGHTS[light]()}
+    return mi.load_dict({"type": "scene", **parts})
+
+
+def measure(scene: mi.Scene, seed: int, spp: int) -> tuple[list[float], float, float]:
     """Derivatives of the image's mean; the seconds of that, and of a render."""
     parameters = mi.traverse(scene)
+    names = [f"ball.interior_medium.{name}" for name in PARAMETERS]
     integrator = scene.integrator()
     image = integrator.render(scene, seed=seed, spp=spp)
     dr.eval(image)
