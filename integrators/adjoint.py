@@ -290,8 +290,8 @@ class Record:
     """the flight ends here (None: all do)"""
     weight: Any = None
     """the throughput where it began, with the balance of the channels at its end"""
-    emission: tuple[Any, ...] | None = None
-    """factor, emitter, surface, mask"""
+    emissions: list[tuple[Any, ...]] = field(default_factory=list)
+    """factor, emitter, surface, mask of each"""
     glow: tuple[Any, ...] | None = None
     """throughput, location, medium interaction, mask"""
     phase: tuple[Any, ...] | None = None
@@ -299,7 +299,8 @@ class Record:
     surface: tuple[Any, ...] | None = None
     """BSDF, surface, direction of the connection, new one, mask"""
     link: tuple[Any, ...] | None = None
-    """contribution, the factor beside the value, the value, connection, mask"""
+    """contribution, the factor beside the value, the value, the factor beside the emitter's light,
+    that as a function, mask"""
     shares: list[Callable[..., Any]] = field(default_factory=list)
     """what the transmittance of the connection depends on"""
 
@@ -502,9 +503,9 @@ class Adjoint:
                     lambda twin, mask: twin.entry.emitted(mei, active=here & mask),
                 )
                 terms += dr.select(here, dr.detach(throughput) * light, 0)
-            if record.emission and self.wanted.emitters:
-                factor, emitter, si, lit = record.emission
-                terms += dr.select(lit, dr.detach(factor) * emitter.eval(si, lit), 0)
+            if self.wanted.emitters:
+                for factor, emitter, si, lit in record.emissions:
+                    terms += dr.select(lit, dr.detach(factor) * emitter.eval(si, lit), 0)
             value = None
             if media and record.phase and self._wants("albedo", "phase"):
                 terms, value = self._phase(media, record, terms, later, carried)
@@ -566,15 +567,12 @@ class Adjoint:
     def _link(self, record: Record, value: Any) -> Any:
         """A connection, but for its transmittance."""
         assert record.link
-        contribution, factor, _, link, vertex, here = record.link
+        _, factor, _, onward, light, here = record.link
         terms: Any = mi.Spectrum(0)
         if value is not None:
             terms += dr.select(here, dr.detach(factor) * value, 0)
-        if self.wanted.emitters and link.ds is not None:
-            light = link.emitter_light(vertex, here)
-            known = dr.detach(light) > 0
-            share = dr.select(known, contribution / dr.select(known, dr.detach(light), 1), 0)
-            terms += dr.select(here, dr.detach(share) * light, 0)
+        if self.wanted.emitters:
+            terms += dr.select(here, dr.detach(onward) * light(), 0)
         return terms
 
 

@@ -115,12 +115,6 @@ class Link:
     """and where it leaves it"""
     ds: Any = None
     """the emitter's place as it was sampled (None: nobody differentiates)"""
-    scene: Any = None
-
-    def emitter_light(self, vertex: Any, active: Any) -> Any:
-        """Radiance of the emitter over the density, for derivatives."""
-        value = self.scene.eval_emitter_direction(vertex, self.ds, active)
-        return dr.select(active, value / self.ds.pdf, 0)
 
     def weight(self, ray_pdf: Any) -> Any:
         """Share of the connection that counts, if a ray takes its direction with this density."""
@@ -217,20 +211,29 @@ class Connections:
 
     def _kept(self, link: Link, ds: mi.DirectionSample3f) -> Link:
         if self.adjoint:
-            link.ds, link.scene = ds, self.scene
+            link.ds = ds
         return link
+
+    def light(self, link: Link, vertex: mi.Interaction3f, active: Any) -> Any:
+        """The light of a connection once more, for derivatives by emitters."""
+        value = self.scene.eval_emitter_direction(vertex, link.ds, active)
+        light = dr.select(active, value / link.ds.pdf, 0)
+        if not link.crossing:
+            return light
+        bent = self._refracted(light, link.ds, link.crossing) / link.crossing.density(link.ds)
+        return dr.select(link.bends, bent, light)
 
     def arriving(
         self, link: Link, start: Start, sampler: mi.Sampler, active: Any, shares: Any = None
     ) -> Any:
-        """Light that arrives at ``start`` along its connection, over the density of that.
+        """Share of its light that arrives at ``start`` along a connection.
 
         ``shares``, a list, gets what counts the derivatives of transmittance.
         """
         active = active & link.active
         media = None if self.media and self.media.all("sealed") else self.media
         if not link.crossing:
-            return link.light * self._share(media, start, link.line, sampler, active, shares)
+            return self._share(media, start, link.line, sampler, active, shares)
 
         # To the surface of the glass, and on behind it as any other connection.
         vertex, bends = start.vertex, link.bends
@@ -252,18 +255,18 @@ class Connections:
         active &= ~bends | dr.any(within != 0)
         exit = Start(surface, behind, start.from_particle & ~bends)
         share = self._share(media, exit, link.line, sampler, active, shares)
-        return mi.Spectrum(link.light * dr.select(bends, within * share, share))
+        return dr.select(bends, within * share, share)
 
     def reflected(
         self, si: mi.SurfaceInteraction3f, vertex: mi.Interaction3f, bsdf: Any, active: Any
-    ) -> Any:
-        """Emission that a ray would hit, were it reflected at the glass."""
+    ) -> tuple[Any, Any]:
+        """What a ray would hit, were it reflected at the glass, and the share of its emission."""
         # The least random number chooses reflection.
         bs, weight = bsdf.sample(mi.BSDFContext(), si, 0.0, mi.Point2f(0.5), active)
         d = si.to_world(bs.wo)
         ray = mi.Ray3f(self.offset.onward(vertex, d), d, vertex.time, vertex.wavelengths)
         hit = self.tracer.intersect(ray, False, active)
-        return mi.Spectrum(weight * bs.pdf * hit.emitter(self.scene).eval(hit, active))
+        return weight * bs.pdf, hit
 
     def _refracted(self, light: Any, ds: mi.DirectionSample3f, crossing: Crossing) -> Any:
         """A sampled emitter's radiance over pdf, seen from behind the surface of glass."""

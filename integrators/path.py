@@ -329,7 +329,7 @@ class Events:
             emitted = emission.radiance if weight is None else emission.radiance * weight
             if record:
                 factor = a.carried if weight is None else a.carried * weight
-                record.emission = factor, emission.emitter, a.si, emission.lit
+                record.emissions.append((factor, emission.emitter, a.si, emission.lit))
             s.radiance = dr.select(emission.lit, dr.fma(a.carried, emitted, s.radiance), s.radiance)
         if self.media and s.flight and self.media.any("emits"):
             mei = medium_interaction(s.d, a.ray, a.p)
@@ -343,7 +343,7 @@ class Events:
             light = self.arriving(sampler, s, a, vertex, link, scattering, record)
             s.radiance = dr.select(link.active, s.radiance + light, s.radiance)
         collected, carried = s.radiance, a.carried
-        self.advance(sampler, s, a, vertex, scattering, in_glass)
+        self.advance(sampler, s, a, vertex, scattering, in_glass, record)
         if self.adjoint and record:
             if self.null and s.flight:
                 record.done = s.flight.fresh | ~s.active
@@ -529,12 +529,14 @@ class Events:
         start = Start(vertex, leaving, a.from_particle)
         useful = dr.any(scattering.value != 0)
         shares = record.shares if record else None
-        light = self.nee.arriving(link, start, sampler, useful, shares)
-        share = link.weight(scattering.value_pdf)
-        contribution = a.carried * scattering.value * light * share
+        arriving = self.nee.arriving(link, start, sampler, useful, shares)
+        light, weight = link.light * arriving, link.weight(scattering.value_pdf)
+        contribution = a.carried * scattering.value * light * weight
         if record:
-            factor, value = a.carried * light * share, scattering.value
-            record.link = contribution, factor, value, link, vertex, link.active
+            factor, value = a.carried * light * weight, scattering.value
+            onward = a.carried * value * arriving * weight
+            lit = partial(self.nee.light, link, vertex, link.active)
+            record.link = contribution, factor, value, onward, lit, link.active
         return contribution
 
     # ------------------------------------------------------------- scattering
@@ -579,6 +581,7 @@ class Events:
         vertex: Any,
         scattering: Scattering,
         in_glass: Any,
+        record: Record | None,
     ) -> None:
         """Take the new direction, or end."""
         d, on_surface = scattering.d, a.on_surface
@@ -592,7 +595,7 @@ class Events:
         s.depth = dr.select(scattered, s.depth + 1, s.depth)
         out: Any = mi.Bool(False)
         if s.glass:
-            out = self._leave_glass(s, a, vertex, scattering, in_glass, scattered)
+            out = self._leave_glass(s, a, vertex, scattering, in_glass, scattered, record)
         s.pdf = dr.select(scattered & ~out, scattering.pdf, s.pdf)
         s.certain = dr.select(scattered, scattering.certain, s.certain)
         if self.nee.silent:
@@ -627,6 +630,7 @@ class Events:
         scattering: Scattering,
         in_glass: Any,
         scattered: Any,
+        record: Record | None,
     ) -> Any:
         """Follow a path out of glass; the mask of those that leave it here."""
         assert s.glass and self.nee.glass
@@ -635,8 +639,12 @@ class Events:
         seen = on_surface & a.first & ~a.last & self.nee.glass.meets(a.si)
         if self.media and s.flight:
             seen &= ~self.media.inside(s.flight.location)
-        reflected = a.carried * self.nee.reflected(a.si, vertex, a.bsdf, seen)
+        share, hit = self.nee.reflected(a.si, vertex, a.bsdf, seen)
+        emitter = hit.emitter(self.nee.scene)
+        reflected = a.carried * mi.Spectrum(share * emitter.eval(hit, seen))
         s.radiance = dr.select(seen, s.radiance + reflected, s.radiance)
+        if record:
+            record.emissions.append((a.carried * share, emitter, hit, seen))
         s.glass.seen = seen & mi.has_flag(bs.sampled_type, mi.BSDFFlags.DeltaReflection)
         # Out of the glass, the density is that of the last direction within.
         out = s.glass.armed & mi.has_flag(bs.sampled_type, mi.BSDFFlags.DeltaTransmission)

@@ -206,6 +206,15 @@ CASES: dict[str, tuple[dict[str, Any], list[str]]] = {
         {"ball": boxed(varied()), "sky": FURNACE},
         ["ball.interior_medium.scale", ALBEDO, LAW],
     ),
+    "dark lamps": (
+        {
+            "ball": ball(gamma(), "dielectric"),
+            "lamp": LAMP | {"emitter": {"type": "area", "radiance": 0.0}},
+            "bulb": {"type": "point", "position": [0, 2, 1], "intensity": 0.0},
+            "sky": FURNACE,
+        },
+        ["lamp.emitter.radiance.value", "bulb.intensity.value"],
+    ),
     "tinted pane": (
         {
             "ball": boxed(gamma(id="same")),
