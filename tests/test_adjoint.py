@@ -362,7 +362,7 @@ def test_forward_and_backward_agree_on_the_same_paths(name: str) -> None:
     backward = float(np.sum(np.array(dr.grad(value))))
     (found,) = inverse.jacobian(made, names[0], spp=16, runs=1, seed=3)
     forward = float(np.sum(np.array(weight) * found.value))
-    assert forward == pytest.approx(backward, rel=2e-5)
+    assert forward == pytest.approx(backward, rel=1e-5)
 
 
 def test_paths_are_replayed_to_the_bit() -> None:
