@@ -27,6 +27,7 @@ from build import (
 )
 from tiers import quick, thorough
 
+import nonexp
 from nonexp import inverse, models
 from nonexp.integrators.replay import replay
 
@@ -133,6 +134,15 @@ def test_laws_that_claim_none_are_refused(case: Any) -> None:
     image = mi.render(made, parameters, spp=1)
     with pytest.raises(ValueError, match=r"no derivative by ball.*sigma_t.*inverse.differences"):
         dr.backward(image)
+
+
+def test_a_law_that_declares_nothing_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(type(law(("gamma", {}))), "jumps", nonexp.Transmittance.jumps)
+    made = scene(sensor=orthographic(), ball=ball(gamma()), sky=FURNACE)
+    parameters = mi.traverse(made)
+    attached(parameters, LAW)
+    with pytest.raises(ValueError, match="no derivative by .*alpha: flights of Gamma .* declared"):
+        dr.backward(mi.render(made, parameters, spp=1))
 
 
 # ---------------------------------------------------------------------- against differences
