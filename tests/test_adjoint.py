@@ -141,7 +141,7 @@ def test_a_law_that_declares_nothing_is_refused(monkeypatch: pytest.MonkeyPatch)
     made = scene(sensor=orthographic(), ball=ball(gamma()), sky=FURNACE)
     parameters = mi.traverse(made)
     attached(parameters, LAW)
-    with pytest.raises(ValueError, match="no derivative by .*alpha: flights of Gamma .* declared"):
+    with pytest.raises(ValueError, match=r"no derivative by .*alpha: flights of Gamma .* declared"):
         dr.backward(mi.render(made, parameters, spp=1))
 
 
