@@ -219,5 +219,7 @@ def test_only_whole_seeds_and_counts() -> None:
     assert fresh.sample_count() == 4 and fresh.wavefront_size() == 0
     with pytest.raises(RuntimeError, match="has no numbers before its first call of seed"):
         fresh.next_1d()
+    with pytest.raises(ValueError, match="wavefront_size is not given, as it must be at the first"):
+        fresh.seed(1)
     with pytest.raises(RuntimeError):
         fresh.set_samples_per_wavefront(3)

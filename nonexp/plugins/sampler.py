@@ -43,6 +43,7 @@ class NonexpSobol(mi.Sampler):
         """number of the point with which the sequences begin"""
         self._offset = props.get("seed", 0)
         self._together: int | None = None  # samples of a pixel in a wavefront, if that was said
+        self._block: _Block | None = None
         self._wavefront: _Wavefront | None = None
         self._dimension = mi.UInt32(0)  # all that changes in a loop
 
@@ -50,7 +51,7 @@ class NonexpSobol(mi.Sampler):
         props = mi.Properties("nonexp_sobol")
         props["sample_count"], props["seed"] = self.sample_count(), self._offset
         twin = type(self)(props)
-        twin.first, twin._together = self.first, self._together
+        twin.first, twin._together, twin._block = self.first, self._together, self._block
         return twin
 
     def clone(self) -> NonexpSobol:
@@ -71,17 +72,21 @@ class NonexpSobol(mi.Sampler):
 
     def seed(self, seed: Any, wavefront_size: int = _AS_BEFORE) -> None:
         size = self.wavefront_size() if wavefront_size == _AS_BEFORE else wavefront_size
-        super().seed(seed, size)  # raises without a size
+        if not size:
+            raise ValueError("wavefront_size is not given, as it must be at the first call of seed()")
         key = mi.UInt32(seed) + self._offset
         dr.make_opaque(key)
         # Mitsuba's own integrators do not say how many samples of a pixel a wavefront holds: all,
         # unless they split them. Then pixels share a sequence, each with points of its own.
         together = self._together or self.sample_count()
-        self._wavefront = _Wavefront(key, size, together, self.first)
+        if self._block is None or not self._block.holds(self.first, together):
+            self._block = _Block(self.first, together)
+        self._wavefront = _Wavefront(self._block, key, size)
         self._dimension = mi.UInt32(0)
 
     def advance(self) -> None:
-        self._wavefront = self._seeded().next()
+        now = self._seeded()
+        self._wavefront = _Wavefront(now.block.next(), now.key, now.size)
         self._dimension = mi.UInt32(0)
 
     def schedule_state(self) -> None:
@@ -112,38 +117,51 @@ class NonexpSobol(mi.Sampler):
         return self._wavefront
 
 
+# Neither of these is a dataclass: Dr.Jit would take them for the state of loops, which it would
+# then record twice. What differs between passes is opaque: one kernel serves all of them.
+
+
+class _Block:
+    """Points of the sequence that the samples of a pixel get: kept from pass to pass."""
+
+    def __init__(self, first: int, count: int) -> None:
+        self._range = (first, count)
+        self.points = mi.UInt32(points(first, count).ravel())
+        self.first, self.count = dr.opaque(mi.UInt32, first), dr.opaque(mi.UInt32, count)
+        self._whole = count & (count - 1) == 0  # a power of two
+        self._shift = dr.opaque(mi.UInt32, count.bit_length() - 1) if self._whole else None
+
+    def holds(self, first: int, count: int) -> bool:
+        """Whether it is this block."""
+        return self._range == (first, count)
+
+    def next(self) -> _Block:
+        """The block after it."""
+        first, count = self._range
+        return _Block(first + count, count)
+
+    def divide(self, lane: Any) -> tuple[Any, Any]:
+        """Pixel, and place of its sample in the block."""
+        if self._whole:
+            return lane >> self._shift, lane & (self.count - 1)
+        pixel = lane // self.count
+        return pixel, lane - pixel * self.count
+
+
 class _Wavefront:
-    """Where the numbers of a wavefront come from: the same in all turns of a loop.
+    """Where the numbers of a wavefront come from: the same in all turns of a loop."""
 
-    Not a dataclass, so that Dr.Jit does not take it for the state of loops, which it would then
-    record twice.
-    """
-
-    def __init__(self, key: Any, size: int, together: int, first: int) -> None:
-        self.size = size
-        self._key, self._together, self._first = key, together, first
-        # All numbers that differ between passes are opaque: one kernel serves all of them.
-        self._count = dr.opaque(mi.UInt32, together)
-        lane = dr.arange(mi.UInt32, size)
-        if together & (together - 1):
-            pixel = lane // self._count
-            self._sample = lane - pixel * self._count
-        else:
-            pixel = lane >> dr.opaque(mi.UInt32, together.bit_length() - 1)
-            self._sample = lane & (self._count - 1)
-        self._points = mi.UInt32(points(first, together).ravel())
+    def __init__(self, block: _Block, key: Any, size: int) -> None:
+        self.block, self.key, self.size = block, key, size
+        pixel, self._place = block.divide(dr.arange(mi.UInt32, size))
         self._of_pixel = mixed(mixed(key) + pixel * _STEP)
-        number = self._sample + dr.opaque(mi.UInt32, first)
+        number = self._place + block.first
         self._of_sample = mixed(self._of_pixel ^ (number * 0x85EBCA6B + 0x7F4A7C15))
-
-    def next(self) -> _Wavefront:
-        """The next samples of the same pixels."""
-        return _Wavefront(self._key, self.size, self._together, self._first + self._together)
 
     def bits(self, dimension: Any) -> Any:
         """The numbers in a dimension, in fractions of 2^32."""
         planned = dimension < DIMENSIONS
-        place = dimension * self._count + self._sample
-        x = dr.gather(mi.UInt32, self._points, place, planned)
+        place = dimension * self.block.count + self._place
+        x = dr.gather(mi.UInt32, self.block.points, place, planned)
         seed = mixed(dr.select(planned, self._of_pixel, self._of_sample) + dimension * _STEP)
         return dr.select(planned, dr.brev(scrambled(x, seed)), seed)
