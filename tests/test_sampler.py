@@ -157,7 +157,7 @@ def test_masks_leave_dimensions_aligned() -> None:
 
 
 def test_a_loop_draws_what_single_calls_do() -> None:
-    """Symbolic, with a different number of turns for each lane; across the last planned dimension."""
+    """With a different number of turns in each lane, beyond the last planned dimension."""
     count, pixels = 16, 4
     turns = dr.arange(mi.UInt32, count * pixels) % 37
 

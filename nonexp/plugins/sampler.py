@@ -73,7 +73,9 @@ class NonexpSobol(mi.Sampler):
     def seed(self, seed: Any, wavefront_size: int = _AS_BEFORE) -> None:
         size = self.wavefront_size() if wavefront_size == _AS_BEFORE else wavefront_size
         if not size:
-            raise ValueError("wavefront_size is not given, as it must be at the first call of seed()")
+            raise ValueError(
+                "wavefront_size is not given, as it must be at the first call of seed()"
+            )
         key = mi.UInt32(seed) + self._offset
         dr.make_opaque(key)
         # Mitsuba's own integrators do not say how many samples of a pixel a wavefront holds: all,

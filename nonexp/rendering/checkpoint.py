@@ -1,9 +1,10 @@
 """Checkpoints: the state of a render on disk, from which it goes on as if never interrupted.
 
 A checkpoint is one file: a line that names the format, a line of JSON (what is rendered, how far
-it is), the sums over the passes of each replicate (or the mean and the squared deviations of passes
-that are all independent) as 64-bit floats, and a checksum over all of this (BLAKE2b). The one before it is kept beside it, with ``.old`` added to the name. Files get
-their names when they are complete and on disk, so that one of the two is whole at any moment.
+it is), arrays of 64-bit floats, and a checksum over all of this (BLAKE2b). The arrays are the sum
+of the passes of each replicate, or the mean and the squared deviations of passes that are all
+independent. The one before it is kept beside it, with ``.old`` added to the name. Files get their
+names when they are complete and on disk, so that one of the two is whole at any moment.
 """
 
 from __future__ import annotations

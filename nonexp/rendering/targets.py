@@ -9,8 +9,6 @@ from dataclasses import dataclass
 from numbers import Real
 from time import perf_counter
 
-import numpy as np
-
 from ..images.moments import Array, Moments, Noise, Replicates
 
 __all__ = ["BLACK", "Progress", "Run", "Targets", "fraction", "is_checked", "seconds"]
