@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import drjit as dr
@@ -10,13 +9,9 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from scipy import stats
-from tiers import THOROUGH, quick
+from tiers import quick
 
-import nonexp
-from nonexp import rendering
-from nonexp.images.moments import Replicates
 from nonexp.numerics import sobol
-from nonexp.rendering import checkpoint, sampling
 
 pytestmark = pytest.mark.usefixtures("several_threads")
 

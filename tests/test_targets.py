@@ -126,9 +126,7 @@ def test_looks_are_rare_and_the_same_for_all() -> None:
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("shape", [2.0, *thorough(0.2)])
-@pytest.mark.parametrize(
-    ("size", "count"), [((4, 5), None), ((4, 5), 8), ((16, 20), None)]
-)
+@pytest.mark.parametrize(("size", "count"), [((4, 5), None), ((4, 5), 8), ((16, 20), None)])
 def test_the_target_is_held_in_95_of_100_runs(
     size: tuple[int, int], count: int | None, shape: float
 ) -> None:
