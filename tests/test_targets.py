@@ -191,8 +191,8 @@ def test_a_render_stops_at_the_error_that_it_claims(
 ) -> None:
     """40 seeds against a reference of 2^14 samples (whose own error is 1/8 of the target).
 
-    With either sampler after about 30 passes. 8 misses or more would have a probability below 1e-3 where 5 % are claimed; a standard error too
-    small by 10 % would miss in nearly all.
+    With either sampler after about 30 passes. 8 misses or more would have a probability below 1e-3
+    where 5 % are claimed; a standard error too small by 10 % would miss in nearly all.
     """
     target = scene()
     asked: dict[str, Any] = {"error": error, "pass_spp": pass_spp, "sampler": sampler}
