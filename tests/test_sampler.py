@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import drjit as dr
@@ -9,9 +10,13 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from scipy import stats
-from tiers import quick
+from tiers import THOROUGH, quick
 
+import nonexp
+from nonexp import rendering
+from nonexp.images.moments import Replicates
 from nonexp.numerics import sobol
+from nonexp.rendering import checkpoint, sampling
 
 pytestmark = pytest.mark.usefixtures("several_threads")
 
@@ -218,3 +223,229 @@ def test_only_whole_seeds_and_counts() -> None:
         fresh.seed(1)
     with pytest.raises(RuntimeError):
         fresh.set_samples_per_wavefront(3)
+
+
+# --------------------------------------------------------------------- renders
+
+PLACE = mi.ScalarTransform4f
+
+
+def scene(sampler: str | None = None, integrator: Any = None, spp: int = 8, **camera: Any) -> Any:
+    """A grey ball under a lamp, with noise in every pixel of it."""
+    named = {"sampler": {"type": sampler, "sample_count": spp}} if sampler else {}
+    film = {"type": "hdrfilm", "width": 12, "height": 10, "rfilter": {"type": "box"}}
+    return mi.load_dict(
+        {
+            "type": "scene",
+            "integrator": integrator or {"type": "path", "max_depth": 3},
+            "camera": {
+                "type": "perspective",
+                "to_world": PLACE().look_at([0, 0, 3], [0, 0, 0], [0, 1, 0]),
+                "fov": 30,
+                "film": film,
+                **named,
+                **camera,
+            },
+            "lamp": {"type": "sphere", "center": [2, 2, 2], "emitter": {"type": "area"}},
+            "ball": {"type": "sphere"},
+        }
+    )
+
+
+def test_a_render_takes_sobol_for_independent_and_leaves_others() -> None:
+    def mean_of_renders(target: Any, spp: int, passes: int) -> Any:
+        seeds = [rendering.pass_seed(5, number) for number in range(passes)]
+        images = [np.array(mi.render(target, spp=spp, seed=seed)) for seed in seeds]
+        return np.mean(np.array(images, dtype=np.float64), axis=0)
+
+    asked: dict[str, Any] = {"spp": 8, "seed": 5, "pass_spp": 2}
+    plain, named = scene(), scene("multijitter")
+    single, jittered = mean_of_renders(plain, 2, 4), mean_of_renders(named, 2, 4)
+    sobol_image = mean_of_renders(scene("nonexp_sobol"), 2, 4)
+    for target, sampler, expected, plugin, independent in (
+        (plain, None, sobol_image, "nonexp_sobol", 4),
+        (plain, "independent", single, "independent", 4),
+        (scene("independent"), "sobol", sobol_image, "nonexp_sobol", 4),
+        (scene("nonexp_sobol"), None, sobol_image, "nonexp_sobol", 4),
+        (scene("nonexp_sobol"), "independent", single, "independent", 4),
+        (named, None, jittered, "multijitter", 4),
+        (named, "sobol", sobol_image, "nonexp_sobol", 4),
+        (named, "independent", single, "independent", 4),
+    ):
+        image = nonexp.render(target, sampler=sampler, **asked)
+        np.testing.assert_allclose(image.mean, expected, rtol=1e-12)
+        assert sampling.sampler_of(target.sensors()[0], sampler) == plugin
+        assert image.independent == independent
+    with pytest.raises(ValueError, match="sampler is 'halton': it must be sobol or independent"):
+        nonexp.render(plain, sampler="halton")
+
+
+def test_passes_of_a_replicate_are_parts_of_one_image() -> None:
+    target, plan = scene(), rendering.Plan(6, 4)
+    parts = list(rendering.render_passes(target, plan, 3, count=2))
+    for replicate in (0, 1):
+        seed = rendering.pass_seed(3, replicate)
+        whole = np.array(mi.render(scene("nonexp_sobol"), spp=12, seed=seed))
+        np.testing.assert_allclose(np.mean(parts[replicate::2], axis=0), whole, atol=2e-6)
+    by_default = list(rendering.render_passes(target, plan, 3))
+    assert not np.array_equal(by_default[2], parts[2]) and np.array_equal(by_default[0], parts[0])
+    later = list(rendering.render_passes(target, plan, 3, start=4))
+    np.testing.assert_array_equal(later, by_default[4:])
+
+
+def test_replicates_know_their_noise() -> None:
+    """Against NumPy where all are equal; where they are not, the mean square is right."""
+    images = np.random.default_rng(1).normal(2, 1, (4000, 11, 3, 1, 1))
+    state = Replicates(4)
+    for image in images[0][:8]:
+        state = state.plus(image)
+    each = images[0][:8].reshape(2, 4, 3, 1, 1).mean(axis=0)
+    np.testing.assert_allclose(state.mean, images[0][:8].mean(axis=0), rtol=1e-14)
+    np.testing.assert_allclose(state.stderr, stats.sem(each), rtol=1e-12)
+    assert (state.independent, state.passes) == (4, 8)
+    squares = []
+    for run in images:
+        state = Replicates(4)
+        for image in run:
+            state = state.plus(image)
+        squares.append(state.stderr**2)
+    assert np.mean(squares) == pytest.approx(1 / 11, rel=0.03)  # sqrt(2/3/12000): 0.7 %
+    assert Replicates(4).plus(images[0][0]).independent == 1
+    assert np.isnan(Replicates(4).plus(images[0][0]).stderr).all()
+
+
+def test_a_checkpoint_keeps_replicates_and_sampler(tmp_path: Path) -> None:
+    path, target = tmp_path / "c", scene()
+    first = nonexp.render(target, spp=64, pass_spp=8, checkpoint=path)
+    state = checkpoint.read(path)
+    assert isinstance(state.moments, Replicates) and state.identity["sampler"] == "nonexp_sobol"
+    assert (first.independent, first.passes, len(state.moments.sums)) == (4, 8, 4)
+    longer = nonexp.render(target, spp=320, checkpoint=path)
+    afresh = nonexp.render(target, spp=320, pass_spp=8)
+    assert (longer.independent, afresh.independent) == (4, 8)
+    parts = list(rendering.render_passes(target, rendering.Plan(40, 8), count=4))
+    np.testing.assert_allclose(longer.mean, np.mean(parts, axis=0), rtol=1e-13)
+    with pytest.raises(ValueError, match="sampler was nonexp_sobol, is independent"):
+        nonexp.render(target, spp=320, checkpoint=path, sampler="independent")
+
+
+def test_all_passes_are_one_kernel() -> None:
+    target = scene()
+    for spp, pass_spp in ((8, 4), (80, 8)):
+        with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
+            dr.kernel_history_clear()
+            nonexp.render(target, spp=spp, pass_spp=pass_spp, seed=spp)
+            kernels = dr.kernel_history([dr.KernelType.JIT])
+        largest = max(kernel["operation_count"] for kernel in kernels)
+        hashes = {k["hash"] for k in kernels if k["operation_count"] == largest}
+        assert len(hashes) == 1
+        if pass_spp == 4:
+            before = hashes
+    assert hashes == before  # also of another pass size
+
+
+@pytest.mark.parametrize(
+    "camera",
+    [
+        {"type": "thinlens", "aperture_radius": 0.3, "focus_distance": 2.0},
+        {"shutter_close": 1.0},
+        {"film": {"type": "hdrfilm", "width": 12, "height": 10, "rfilter": {"type": "box"},
+                  "crop_width": 5, "crop_height": 4, "crop_offset_x": 4, "crop_offset_y": 3}},
+    ],
+    ids=["lens", "shutter", "crop"],
+)  # fmt: skip
+def test_a_sensor_with_another_sampler_sees_the_same(camera: dict[str, Any]) -> None:
+    one = nonexp.render(scene("independent", **camera), spp=8, sampler="independent")
+    other = nonexp.render(scene("multijitter", **camera), spp=8, sampler="independent")
+    np.testing.assert_array_equal(other.mean, one.mean)
+    assert one.mean.std() > 0.005
+
+
+def fog(sampler: str | None, size: tuple[int, int] = (6, 5), inside: bool = False) -> Any:
+    """A ball of fog before a lamp, or around the camera."""
+    width, height = size
+    film = {"type": "hdrfilm", "width": width, "height": height, "rfilter": {"type": "box"}}
+    law = {"type": "transmittance_gamma", "alpha": 1.0}
+    medium = {"type": "nonexp_homogeneous", "sigma_t": 1.5, "albedo": 0.8, "transmittance": law}
+    lamp = PLACE().translate([0, 0, -3]).scale(3)
+    return mi.load_dict(
+        {
+            "type": "scene",
+            "integrator": {"type": "nonexp_volpath", "max_depth": 6},
+            "medium": {**medium, "id": "fog"},
+            "camera": {
+                "type": "perspective",
+                "to_world": PLACE().look_at([0, 0, 0.5 if inside else 4], [0, 0, 0], [0, 1, 0]),
+                "fov": 35,
+                "film": film,
+                **({"sampler": {"type": sampler, "sample_count": 4}} if sampler else {}),
+                **({"medium": {"type": "ref", "id": "fog"}} if inside else {}),
+            },
+            "ball": {
+                "type": "sphere",
+                "bsdf": {"type": "null"},
+                "interior": {"type": "ref", "id": "fog"},
+            },
+            "lamp": {"type": "rectangle", "to_world": lamp, "emitter": {"type": "area"}},
+        }
+    )
+
+
+def test_a_camera_in_a_medium_stays_there() -> None:
+    one = nonexp.render(fog(None, inside=True), spp=8, sampler="independent")
+    other = nonexp.render(fog("multijitter", inside=True), spp=8, sampler="independent")
+    np.testing.assert_array_equal(other.mean, one.mean)
+
+
+@THOROUGH
+def test_mitsuba_may_split_a_render() -> None:
+    """By ``samples_per_pass``: without bias, and with less noise than independent numbers."""
+    integrator = {"type": "path", "max_depth": 3, "samples_per_pass": 4}
+    truth = nonexp.render(scene(), spp=2048).mean
+    errors = {}
+    for sampler in ("independent", "nonexp_sobol"):
+        target = scene(sampler, integrator)
+        images = np.array([np.array(mi.render(target, spp=16, seed=seed)) for seed in range(16)])
+        scores = (images.mean(axis=(1, 2, 3)) - truth.mean()) / truth.mean()
+        assert abs(scores.mean()) < 4 * stats.sem(scores) + 1e-3
+        errors[sampler] = np.square(images - truth).mean()
+    assert errors["nonexp_sobol"] < 0.9 * errors["independent"]
+
+
+@THOROUGH
+def test_derivatives_have_no_bias_and_agree_both_ways() -> None:
+    """With 4 samples per pixel, where the mean of the others as a baseline would be off by 25 %."""
+    slopes = {}
+    for name, seeds in (("independent", 16), ("nonexp_sobol", 8)):
+        target = fog(name, size=(16, 12))
+        parameters: Any = mi.traverse(target)
+        (key,) = [key for key in parameters.keys() if key.endswith("sigma_t.value.value")]
+        value = type(parameters[key])(parameters[key])
+        found = []
+        for seed in range(seeds):
+            by: Any = type(value)(value)
+            dr.enable_grad(by)
+            parameters[key] = by
+            parameters.update()
+            dr.backward(dr.mean(mi.render(target, parameters, seed=seed).array))
+            found.append(float(np.array(dr.grad(by)).sum()))
+        dr.enable_grad(by := type(value)(value))
+        parameters[key] = by
+        parameters.update()
+        dr.set_grad(by, 1.0)
+        forward = dr.forward_to(mi.render(target, parameters, seed=seeds - 1))
+        assert np.array(forward).mean() == pytest.approx(found[-1], rel=1e-4)
+        slopes[name] = np.array(found)
+    error = np.hypot(*(stats.sem(one) for one in slopes.values()))
+    first, second = (one.mean() for one in slopes.values())
+    assert abs(first - second) < 4 * error
+    assert error < 0.04 * abs(first)
+
+
+@pytest.mark.parametrize("variant", ["llvm_ad_mono", "llvm_ad_spectral"], indirect=True)
+@THOROUGH
+def test_other_variants(variant: str) -> None:
+    image = nonexp.render(scene(), spp=16, seed=1)
+    assert image.independent == 4 and image.mean.mean() > 0.01
+    expected = nonexp.render(scene(), spp=256, seed=2, sampler="independent")
+    assert image.mean.mean() == pytest.approx(expected.mean.mean(), rel=0.05)
