@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -85,12 +86,10 @@ class Replicates:
         """Number of independent images: of replicates that have begun."""
         return len(self.sums)
 
-    @property
+    @cached_property
     def mean(self) -> Array:
         """Mean of all images."""
-        total = np.zeros(())
-        for one in self.sums:
-            total = total + one
+        total = sum(self.sums, start=np.zeros(()))
         return total / max(self.passes, 1)
 
     @property
@@ -108,9 +107,13 @@ class Replicates:
         with np.errstate(invalid="ignore"):  # infinite values: the pixel becomes NaN
             for place, one in enumerate(self.sums):
                 weight = -(-(self.passes - place) // self.count)
-                squares += weight * np.square(one / weight - mean)
-        stderr: Array = np.sqrt(squares / self.passes / (self.independent - 1))
-        return stderr
+                term = one / weight
+                term -= mean
+                term *= term
+                term *= weight
+                squares += term
+        squares /= self.passes * (self.independent - 1)
+        return np.sqrt(squares, out=squares)
 
     @property
     def lit(self) -> bool:

@@ -38,11 +38,10 @@ _OPEN_ENDED = 16
 
 # Dr.Jit adds samples to pixels in parallel. The sum is the same in every run if no two threads
 # share a pixel: with passes of a power of two that is so for large passes (the work is split in
-# multiples of 2^14 samples from 2^15 per thread on) and for one SIMD packet per pixel, or for two,
-# whose order does not matter to their sum. The bounds hold for up to 64 threads and packets of 8 or
-# more.
+# multiples of 2^14 samples from 2^15 per thread on) and for one SIMD packet per pixel (two do not
+# repeat). The bounds hold for up to 64 threads and packets of 8 or more.
 _LARGE_PASS = 1 << 21
-_TWO_PACKETS = 16
+_ONE_PACKET = 8
 
 
 # --------------------------------------------------------------------- plan
@@ -73,7 +72,7 @@ def plan(spp: int | None, pixels: int) -> Plan:
 
     A pass has a power of two of samples per pixel, no more than an eighth of ``spp`` and no more
     than 2^22 in the whole image; ``spp`` is rounded up to whole passes. Passes of fewer than 2^21
-    samples in the whole image get at most 16 per pixel: then they repeat to the last bit. Where
+    samples in the whole image get at most 8 per pixel: then they repeat to the last bit. Where
     ``spp`` is None, not known, a pass has at most 16. The plan depends on nothing else, so that it
     is the same on every machine.
 
@@ -89,7 +88,7 @@ def plan(spp: int | None, pixels: int) -> Plan:
 
 def _pass_spp(most: int, pixels: int) -> int:
     wanted = _power_of_two(min(most, MAX_PASS_SAMPLES // pixels))
-    return wanted if pixels * wanted >= _LARGE_PASS else min(wanted, _TWO_PACKETS)
+    return wanted if pixels * wanted >= _LARGE_PASS else min(wanted, _ONE_PACKET)
 
 
 def planned(
