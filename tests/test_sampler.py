@@ -13,7 +13,8 @@ from scipy import stats
 from tiers import THOROUGH, quick
 
 import nonexp
-from nonexp import rendering
+from nonexp import cli, rendering
+from nonexp.images import read
 from nonexp.images.moments import Replicates
 from nonexp.numerics import sobol
 from nonexp.rendering import checkpoint, sampling
@@ -449,3 +450,44 @@ def test_other_variants(variant: str) -> None:
     assert image.independent == 4 and image.mean.mean() > 0.01
     expected = nonexp.render(scene(), spp=256, seed=2, sampler="independent")
     assert image.mean.mean() == pytest.approx(expected.mean.mean(), rel=0.05)
+
+
+FILE = """<scene version="3.0.0">
+    <integrator type="path"/> <emitter type="constant"/> <shape type="sphere"/>
+    <sensor type="perspective"> SAMPLER
+        <transform name="to_world">
+            <lookat origin="0, 0, 4" target="0, 0, 0" up="0, 1, 0"/>
+        </transform>
+        <film type="hdrfilm"> <rfilter type="box"/>
+            <integer name="width" value="6"/> <integer name="height" value="5"/>
+        </film>
+    </sensor>
+</scene>"""
+
+
+def test_the_command_says_which_sampler(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("plain.xml").write_text(FILE.replace("SAMPLER", ""))
+    Path("named.xml").write_text(FILE.replace("SAMPLER", '<sampler type="nonexp_sobol"/>'))
+    job = ["--variant", "llvm_ad_rgb", "--spp", "16"]
+    for name, seed, given in (("a", 1, []), ("b", 2, []), ("c", 3, ["--sampler", "independent"])):
+        words = ["render", "plain.xml", *job, "--seed", str(seed), *given, "-o", f"{name}.exr"]
+        assert cli.main(words) == 0
+    headers = [read(Path(f"{name}.exr")).metadata for name in "abc"]
+    assert [header["sampler"] for header in headers] == ["nonexp_sobol"] * 2 + ["independent"]
+    assert [header["independent"] for header in headers] == [4, 4, 8]
+    assert cli.main(["merge", "a.exr", "b.exr", "-o", "ab.exr"]) == 0
+    assert read(Path("ab.exr")).metadata["independent"] == 8
+    assert cli.main(["merge", "a.exr", "c.exr", "-o", "ac.exr"]) == 2
+    assert "sampler was nonexp_sobol, is independent" in capsys.readouterr().err
+    assert cli.main(["render", "plain.xml", *job, "--sampler", "halton"]) == 2
+    said = capsys.readouterr().err
+    assert said == "nonexp: error: --sampler is 'halton': it must be sobol or independent\n"
+    for name, row in (
+        ("plain", "replaced by nonexp_sobol (--sampler independent keeps it)"),
+        ("named", "Sobol points, continued over passes"),
+    ):
+        assert cli.main(["info", f"{name}.xml", "--variant", "llvm_ad_rgb"]) == 0
+        assert row in " ".join(capsys.readouterr().out.split())
