@@ -88,6 +88,9 @@ class Offset:
 # --------------------------------------------------------------------- spheres
 
 
+_places = Remembered(64)
+
+
 def place(shape: mi.Shape) -> tuple[Any, Any] | None:
     """Centre and radius of a sphere, no part of the kernel; None for other shapes.
 
@@ -100,6 +103,15 @@ def place(shape: mi.Shape) -> tuple[Any, Any] | None:
     if recording():
         centre, axis = transform @ mi.Vector4f(0, 0, 0, 1), transform @ mi.Vector4f(1, 0, 0, 0)
         return mi.Point3f(centre.xyz), dr.norm(axis)
+    arrays, numbers = state(shape)  # reading them would wait for kernels each time
+    found: tuple[Any, Any] | None = _places.get(
+        (mi.variant(), numbers), arrays, lambda: _sphere(transform)
+    )
+    return found
+
+
+def _sphere(transform: Any) -> tuple[Any, Any] | None:
+    """Centre and radius of what a transformation makes of the unit sphere, if it is a sphere."""
     matrix = np.array(transform, dtype=float).reshape(4, 4)
     axes, centre = matrix[:3, :3], matrix[:3, 3]
     square = axes.T @ axes

@@ -46,7 +46,9 @@ def replay(integrator: Any, scene: mi.Scene, sensor: Any) -> Any:
             if mode == dr.ADMode.Primal:
                 path = integrator.trace(scene, sampler, ray, medium, active, regular=True)
                 return path.radiance, path.opaque, [], path.radiance
-            count = sampler.sample_count()
+            # Without bias only if the other samples of a pixel know nothing of this one.
+            independent = sampler.class_name() == "IndependentSampler"
+            count = sampler.sample_count() if independent else 1
             baseline = leave_one_out(state_in, count) if count > 1 else None
             adjoint = Adjoint(mode, state_in, δL, baseline, wanted)
             path = integrator.trace(scene, sampler, ray, medium, active, adjoint, regular=True)

@@ -68,8 +68,11 @@ def desk(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[dict[str, 
 
 
 def in_a_scene(part: Any) -> dict[str, Any]:
-    """A scene dictionary around an integrator, medium or texture given as dictionary."""
+    """A scene dictionary around an integrator, medium, texture or sampler given as dictionary."""
     kind = part["type"]
+    if kind == "nonexp_sobol":
+        camera = {"type": "perspective", "sampler": part}
+        return {"type": "scene", "integrator": {"type": "path"}, "camera": camera}
     if kind.startswith("transmittance_"):
         part = {"type": "nonexp_homogeneous", "transmittance": part}
     if part["type"] in ("nonexp_homogeneous", "nonexp_heterogeneous", "nonexp_binary_mixture"):

@@ -160,6 +160,13 @@ EXAMPLES: dict[str, tuple[str, dict[str, Any]]] = {
             "phase_1": {"type": "hg", "g": 0.8},
         },
     ),
+    "nonexp_sobol": (
+        """\
+<sampler type="nonexp_sobol">
+    <integer name="sample_count" value="64"/>
+</sampler>""",
+        {"type": "nonexp_sobol", "sample_count": 64},
+    ),
     "nonexp_volpath": (
         """\
 <integrator type="nonexp_volpath">

@@ -27,6 +27,7 @@ __all__ = [
     "argument",
     "definition",
     "load",
+    "one_of",
     "one_sentence",
     "only_one",
     "size",
@@ -108,6 +109,17 @@ def size(text: str) -> tuple[int, int]:
             f"is {text!r}: it must be WIDTHxHEIGHT in pixels, from 1 to 16384 each, as in 640x480"
         )
     return int(match[1]), int(match[2])
+
+
+def one_of(*allowed: str) -> Callable[[str], str]:
+    """One of a few words."""
+
+    def parse(text: str) -> str:
+        if text not in allowed:
+            raise ValueError(f"is {text!r}: it must be {' or '.join(allowed)}")
+        return text
+
+    return parse
 
 
 def definition(example: str) -> Callable[[str], tuple[str, str]]:

@@ -23,6 +23,7 @@ from ..rendering.cluster import connect
 from ..rendering.job import RenderJob
 from ..rendering.progress import time as written_time
 from ..rendering.render import Source, run
+from ..rendering.sampling import SAMPLERS
 from ..rendering.targets import fraction, seconds
 from ..scene.identity import digest
 from ..scene.load import LoadedScene
@@ -36,6 +37,7 @@ from .arguments import (
     Variant,
     argument,
     load,
+    one_of,
     one_sentence,
     only_one,
     whole,
@@ -73,6 +75,7 @@ def render(
     sensor: Annotated[str, argument("N")] = "0",
     seed: Annotated[int, argument("S", whole(0, MAX_SEED))] = 0,
     pass_spp: Annotated[int | None, argument("N", whole(1))] = None,
+    sampler: Annotated[str | None, argument("NAME", one_of(*SAMPLERS))] = None,
     spp: Annotated[int | None, argument("N", whole(1), group=TARGETS)] = None,
     time: Annotated[float | None, argument("T", seconds, group=TARGETS)] = None,
     error: Annotated[float | None, argument("E", fraction, group=TARGETS)] = None,
@@ -95,6 +98,7 @@ def render(
         sensor: number or id of the sensor (default: 0)
         seed: default: 0
         pass_spp: samples per pixel of a pass (default: by image size and --spp)
+        sampler: sobol or independent (default: the scene's, but sobol in place of independent)
         spp: samples per pixel (default: the scene's)
         time: such as 90s, 10m or 2h30m
         error: relative standard error of the image, such as 1%: root mean square over the pixels
@@ -132,6 +136,7 @@ def render(
             seed=seed,
             sensor=sensor,
             pass_spp=pass_spp,
+            sampler=sampler,
             checkpoint=state,
             resume=resume,
             interval=checkpoint or 0.0,
@@ -259,6 +264,8 @@ def _metadata(
         "spp": image.spp,
         "pass_spp": image.pass_spp,
         "passes": image.passes,
+        "independent": image.passes if image.independent is None else image.independent,
+        "sampler": identity["sampler"],
         "seed": image.seed,
         "seconds": image.seconds,
         "error": image.error,

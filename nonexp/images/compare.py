@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from .exr import Picture
+from .exr import Picture, independent
 from .moments import Array
 
 __all__ = ["BlockTest", "Comparison", "compare", "picture"]
@@ -131,11 +131,11 @@ def _test(a: Picture, b: Picture, variance: Array, level: float) -> BlockTest:
         sums = np.add.reduceat(np.add.reduceat(values, rows, axis=0), columns, axis=1)
         return np.asarray(sums, dtype=np.float64)
 
-    # Welch and Satterthwaite: the variance of each pixel was estimated from the image's passes.
+    # Welch and Satterthwaite: the variance of each pixel was estimated from independent images.
     spread = np.zeros_like(variance)
     for image in (a, b):
         if image.stderr is not None:
-            spread += image.stderr**4 / max(_passes(image) - 1, 1)
+            spread += image.stderr**4 / max(independent(image) - 1, 1)
     rounding = 1e-6 * (np.abs(a.mean) + np.abs(b.mean))
     blocks, whole = (
         _deviations(sums(difference), sums(variance), sums(rounding), sums(spread))
@@ -169,8 +169,3 @@ def _deviations(difference: Array, variance: Array, rounding: Array, spread: Arr
     freedom = np.where(known, 1e9, np.square(variance) / np.where(known, 1, spread))
     p = stats.t.sf(raw, np.clip(freedom, 1, 1e9))
     return np.where(p > 1e-300, stats.norm.isf(np.maximum(p, 1e-300)), raw)
-
-
-def _passes(picture: Picture) -> int:
-    """Passes that the standard error was estimated from; many where the file does not say."""
-    return int(picture.metadata.get("passes", 1000))

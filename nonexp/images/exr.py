@@ -16,7 +16,7 @@ from .image import Image
 from .moments import Array
 from .png import tone_map, write_png
 
-__all__ = ["Picture", "exr_path", "read", "write", "write_exr"]
+__all__ = ["Picture", "exr_path", "independent", "read", "write", "write_exr"]
 
 Metadata = Mapping[str, str | int | float]
 
@@ -32,6 +32,12 @@ class Picture:
     """its standard error, where the file has it"""
     metadata: dict[str, Any]
     """how it was made: the header's ``nonexp:<key>``, by key"""
+
+
+def independent(picture: Picture) -> int:
+    """Independent images that its standard error comes from; many where the file does not say."""
+    known = picture.metadata
+    return int(known.get("independent", known.get("passes", 1000)))
 
 
 def exr_path(output: Path) -> Path:

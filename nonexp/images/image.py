@@ -16,8 +16,8 @@ class Image:
     """A rendered image.
 
     ``mean`` and ``stderr`` (its standard error, NaN after a single pass) have shape (height,
-    width, 3) and linear RGB values; ``spp`` samples per pixel were taken in ``passes`` independent
-    passes, seeded by ``seed``; ``seconds`` is the time it took. Jupyter shows it tone-mapped.
+    width, 3) and linear RGB values; ``spp`` samples per pixel were taken in ``passes`` passes,
+    seeded by ``seed``; ``seconds`` is the time it took. Jupyter shows it tone-mapped.
     """
 
     mean: Array
@@ -31,6 +31,8 @@ class Image:
     a single pass, and for an image that is black everywhere"""
     stopped: str = "spp"
     """target that was reached: spp, time or error"""
+    independent: int | None = None
+    """number of independent images that ``stderr`` was estimated from; None: all passes are"""
 
     @property
     def pass_spp(self) -> int:

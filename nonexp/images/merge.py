@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..scene.identity import differences
-from .exr import Picture
+from .exr import Picture, independent
 from .image import Image
 from .moments import Noise
 
@@ -20,10 +20,10 @@ __all__ = ["merge", "seeds"]
 def merge(pictures: Sequence[Picture]) -> tuple[Image, dict[str, Any]]:
     """One image of renders with different seeds, and its metadata.
 
-    The mean is weighted by samples. With W samples per pixel, N passes, mean m and standard error
-    e of each part, S = W (N - 1) e^2 is the sum of the weighted squared deviations of its passes;
-    for the whole, S is the sum over the parts of S + W (m - mean)^2, and e^2 = S / (W (N - 1)):
-    what one run of all these passes gives.
+    The mean is weighted by samples. With W samples per pixel, N independent images (replicates or
+    passes), mean m and standard error e of each part, S = W (N - 1) e^2 is the sum of the weighted
+    squared deviations of these images; for the whole, S is the sum over the parts of
+    S + W (m - mean)^2, and e^2 = S / (W (N - 1)): what one run of all these images gives.
 
     Raises ``ValueError`` for renders that are not of one scene, with one size and one version, or
     that share a seed, and says what differs.
@@ -43,21 +43,25 @@ def merge(pictures: Sequence[Picture]) -> tuple[Image, dict[str, Any]]:
                 )
             held[seed] = picture
     weights = [int(picture.metadata["spp"]) for picture in pictures]
-    passes = [int(picture.metadata["passes"]) for picture in pictures]
+    passes = sum(int(picture.metadata["passes"]) for picture in pictures)
+    numbers = [independent(picture) for picture in pictures]
     mean = np.average([picture.mean for picture in pictures], axis=0, weights=weights)
     squares = np.zeros_like(mean)
-    for picture, weight, number in zip(pictures, weights, passes, strict=True):
+    for picture, weight, number in zip(pictures, weights, numbers, strict=True):
         squares += weight * np.square(picture.mean - mean)
         if number > 1 and picture.stderr is not None:
             squares += weight * (number - 1) * np.square(picture.stderr)
-    stderr = np.sqrt(squares / sum(weights) / (sum(passes) - 1))
+    stderr = np.sqrt(squares / sum(weights) / (sum(numbers) - 1))
     seconds = math.fsum(float(picture.metadata["seconds"]) for picture in pictures)
-    error = Noise.between(mean, stderr, sum(passes)).error
-    image = Image(mean, stderr, sum(weights), sum(passes), min(held), seconds, error)
+    error = Noise.between(mean, stderr, sum(numbers)).error
+    image = Image(
+        mean, stderr, sum(weights), passes, min(held), seconds, error, independent=sum(numbers)
+    )
     metadata = {
         **first.metadata,
         "spp": image.spp,
         "passes": image.passes,
+        "independent": sum(numbers),
         "seconds": image.seconds,
         "seeds": json.dumps(sorted(held)),
         "error": error,

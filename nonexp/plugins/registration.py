@@ -26,6 +26,7 @@ _PLUGINS = {
     "nonexp_heterogeneous": ("medium", "nonexp.plugins.medium", "NonexpHeterogeneous"),
     "nonexp_binary_mixture": ("medium", "nonexp.plugins.medium", "NonexpBinaryMixture"),
     "nonexp_volpath": ("integrator", "nonexp.integrators.volpath", "NonexpVolpath"),
+    "nonexp_sobol": ("sampler", "nonexp.plugins.sampler", "NonexpSobol"),
 }
 _TEXTURE = ("nonexp.plugins.texture", "TransmittanceTexture")
 

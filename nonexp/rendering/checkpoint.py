@@ -1,9 +1,10 @@
 """Checkpoints: the state of a render on disk, from which it goes on as if never interrupted.
 
 A checkpoint is one file: a line that names the format, a line of JSON (what is rendered, how far
-it is), the mean and the squared deviations of all passes as 64-bit floats, and a checksum over all
-of this (BLAKE2b). The one before it is kept beside it, with ``.old`` added to the name. Files get
-their names when they are complete and on disk, so that one of the two is whole at any moment.
+it is), arrays of 64-bit floats, and a checksum over all of this (BLAKE2b). The arrays are the sum
+of the passes of each replicate, or the mean and the squared deviations of passes that are all
+independent. The one before it is kept beside it, with ``.old`` added to the name. Files get their
+names when they are complete and on disk, so that one of the two is whole at any moment.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from ..images.moments import Moments
+from ..images.moments import Moments, Replicates
 from ..system.files import replacing
 from .job import RenderJob
 
@@ -36,7 +37,7 @@ class Checkpoint:
 
     identity: Mapping[str, Any]
     """what is rendered, as JSON: scene, parameters, seed, size, versions ..."""
-    moments: Moments
+    moments: Moments | Replicates
     seconds: float
     """time spent on it so far"""
     finished: bool = False
@@ -53,10 +54,13 @@ def older(path: Path) -> Path:
 def write(path: Path, checkpoint: Checkpoint, *, keep: bool = True) -> None:
     """Write a checkpoint; with ``keep`` the present file becomes :func:`older`, else it goes."""
     moments = checkpoint.moments
+    count = moments.count if isinstance(moments, Replicates) else None
+    arrays = moments.sums if isinstance(moments, Replicates) else (moments.mean, moments.squares)
     about = {
         "identity": checkpoint.identity,
         "passes": moments.passes,
-        "shape": moments.mean.shape,
+        "replicates": count,
+        "shape": arrays[0].shape if arrays else (),
         "seconds": checkpoint.seconds,
         "finished": checkpoint.finished,
         "written": datetime.now().isoformat(" ", "seconds"),
@@ -64,8 +68,7 @@ def write(path: Path, checkpoint: Checkpoint, *, keep: bool = True) -> None:
     parts: tuple[Any, ...] = (
         _MAGIC,
         json.dumps(about).encode() + b"\n",
-        np.ascontiguousarray(moments.mean, "<f8"),
-        np.ascontiguousarray(moments.squares, "<f8"),
+        *(np.ascontiguousarray(array, "<f8") for array in arrays),
     )
     digest = hashlib.blake2b(digest_size=_DIGEST)
     with replacing(path, backup=older(path) if keep else None) as (aside,):
@@ -87,8 +90,12 @@ def read(path: Path) -> Checkpoint:
     start = data.index(b"\n", len(_MAGIC)) + 1
     about = json.loads(data[len(_MAGIC) : start])
     values = np.frombuffer(body[start:], "<f8").astype(np.float64)
-    mean, squares = values.reshape(2, *about["shape"])
-    moments = Moments(about["passes"], mean, squares)
+    moments: Moments | Replicates
+    if (count := about.get("replicates")) is None:
+        moments = Moments(about["passes"], *values.reshape(2, *about["shape"]))
+    else:
+        sums = values.reshape(min(about["passes"], count), *about["shape"])
+        moments = Replicates(count, about["passes"], tuple(sums))
     return Checkpoint(
         about["identity"], moments, about["seconds"], about["finished"], about["written"]
     )
@@ -132,7 +139,7 @@ class Keeper:
         self._failure: OSError | None = None
         self._warned = False
 
-    def offer(self, moments: Moments, seconds: float) -> None:
+    def offer(self, moments: Moments | Replicates, seconds: float) -> None:
         """Start to write if it is time, and nothing is being written."""
         busy = self._thread is not None and self._thread.is_alive()
         if busy or perf_counter() - self._last < self._interval:
@@ -143,7 +150,7 @@ class Keeper:
         self._thread = threading.Thread(target=self._try_to_write, args=(state,))
         self._thread.start()
 
-    def close(self, moments: Moments, seconds: float, finished: bool) -> bool:
+    def close(self, moments: Moments | Replicates, seconds: float, finished: bool) -> bool:
         """Write the last state; returns whether that succeeded."""
         if self._thread is not None:
             self._thread.join()

@@ -79,7 +79,15 @@ def render_pass(archive: bytes, root: str, job: RenderJob, number: int) -> Any:
             )
         todo = Plan(number + 1, job.plan.pass_spp)
         scene = _scene(archive, root, job)
-        (image,) = render_passes(scene, todo, job.seed, sensor=job.sensor, start=number)
+        (image,) = render_passes(
+            scene,
+            todo,
+            job.seed,
+            sensor=job.sensor,
+            start=number,
+            sampler=job.sampler,
+            count=job.replicates,
+        )
         single = "double" not in job.variant
         return image.astype(np.float32) if single else image  # half the traffic, the same bits
 

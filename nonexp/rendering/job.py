@@ -16,6 +16,7 @@ from ..scene.identity import differences, of_scene, versions
 from ..scene.load import LoadedScene
 from ..system.files import check_writable
 from .passes import Plan, plan_for, sensor_number, whole
+from .sampling import replicates, sampler_of
 from .targets import Targets, fraction, seconds
 
 __all__ = ["RenderJob"]
@@ -31,13 +32,17 @@ class RenderJob:
     plan: Plan
     identity: Mapping[str, Any]
     """what has to be the same for a render to go on: scene, parameters, variant, size, sensor,
-    seed, versions"""
+    seed, sampler, versions"""
     seed: int
     sensor: int
     spp: int | None
     """samples per pixel asked for; None where time or noise decides"""
     pass_spp: int | None
     """samples per pixel of a pass, where they were chosen"""
+    sampler: str | None
+    """sampler asked for"""
+    replicates: int | None
+    """independent replicates to which the passes belong in turn; None: each is independent"""
     time: float | None
     error: float | None
     checkpoint: Path | None
@@ -65,6 +70,7 @@ class RenderJob:
         seed: int = 0,
         sensor: int | str | mi.Sensor = 0,
         pass_spp: int | None = None,
+        sampler: str | None = None,
         checkpoint: str | Path | None = None,
         resume: bool = True,
         interval: float = 60,
@@ -87,17 +93,21 @@ class RenderJob:
         if spp is None and time is None and error is None:
             spp = camera.sampler().sample_count()
         seed = whole("seed", seed, 0)
+        plugin = sampler_of(camera, sampler)
         path = None if checkpoint is None else Path(checkpoint)
         if path is not None:
             check_writable(path, name="checkpoint")
             identity = of_scene(scene) if identity is None else identity
+        plan = plan_for(camera, spp, pass_spp, plugin)
         return cls(
-            plan=plan_for(camera, spp, pass_spp),
-            identity=_completed(identity or {}, camera, number, seed),
+            plan=plan,
+            identity={**_completed(identity or {}, camera, number, seed), "sampler": plugin},
             seed=seed,
             sensor=number,
             spp=spp,
             pass_spp=pass_spp,
+            sampler=sampler,
+            replicates=replicates(plugin, plan.spp),
             time=None if time is None else seconds(time),
             error=None if error is None else fraction(error),
             checkpoint=path,
@@ -141,18 +151,19 @@ class RenderJob:
 
     @property
     def state_identity(self) -> dict[str, Any]:
-        """What identifies its checkpoints: they have a pass size too."""
-        return {**self.identity, "pass_spp": self.plan.pass_spp}
+        """What identifies its checkpoints: they have a pass size and replicates too."""
+        more = {} if self.replicates is None else {"replicates": self.replicates}
+        return {**self.identity, "pass_spp": self.plan.pass_spp, **more}
 
     def going_on(self, found: Mapping[str, Any]) -> RenderJob:
-        """This job with the pass size of a checkpoint that has the identity ``found``.
+        """This job with the pass size and replicates of a checkpoint with the identity ``found``.
 
         Raises ``ValueError`` if that is of another render.
         """
         size = found["pass_spp"]
-        job = self
+        job = replace(self, replicates=self.replicates and found.get("replicates"))
         if self.pass_spp is None and size != self.plan.pass_spp:
-            job = replace(self, plan=Plan(None, size).for_spp(self.spp))
+            job = replace(job, plan=Plan(None, size).for_spp(self.spp))
         if differ := differences(found, job.state_identity):
             raise ValueError(
                 f"checkpoint {str(self.checkpoint)!r} is of another render: {'; '.join(differ)} "

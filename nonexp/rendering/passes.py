@@ -15,6 +15,7 @@ import numpy as np
 
 from ..images.moments import Array
 from ..system import insides
+from .sampling import View, own_sampler, replicates, sampler_of
 
 __all__ = [
     "MAX_PASS_SAMPLES",
@@ -37,8 +38,8 @@ _OPEN_ENDED = 16
 
 # Dr.Jit adds samples to pixels in parallel. The sum is the same in every run if no two threads
 # share a pixel: with passes of a power of two that is so for large passes (the work is split in
-# multiples of 2^14 samples from 2^15 per thread on) and for one SIMD packet per pixel. The bounds
-# hold for up to 64 threads and packets of 8 or more.
+# multiples of 2^14 samples from 2^15 per thread on) and for one SIMD packet per pixel (two do not
+# repeat). The bounds hold for up to 64 threads and packets of 8 or more.
 _LARGE_PASS = 1 << 21
 _ONE_PACKET = 8
 
@@ -96,27 +97,31 @@ def planned(
     sensor: int | str | mi.Sensor = 0,
     *,
     pass_spp: int | None = None,
+    sampler: str | None = None,
 ) -> Plan:
     """The plan by which :func:`render` renders ``spp`` samples per pixel, or the scene's own.
 
     A sampler that rounds its number of samples, such as ``stratified``, changes the pass size.
-    ``pass_spp`` chooses it.
+    ``pass_spp`` chooses it, ``sampler`` another sampler, as for :func:`render`.
     """
     camera = scene.sensors()[sensor_number(scene, sensor)]
-    return plan_for(camera, camera.sampler().sample_count() if spp is None else spp, pass_spp)
+    spp = camera.sampler().sample_count() if spp is None else spp
+    return plan_for(camera, spp, pass_spp, sampler_of(camera, sampler))
 
 
-def plan_for(camera: Any, spp: int | None, pass_spp: int | None) -> Plan:
-    """The plan for a sensor, with ``spp`` None where time or noise decides."""
+def plan_for(camera: Any, spp: int | None, pass_spp: int | None, sampler: str) -> Plan:
+    """The plan for a sensor and a sampler, with ``spp`` None where time or noise decides."""
     width, height = camera.film().crop_size()
     wanted = plan(spp, width * height)
     if pass_spp is not None:
         wanted = Plan(None, whole("pass_spp", pass_spp, 1)).for_spp(spp)
-    sampler = camera.sampler()
-    before = sampler.sample_count()
-    sampler.set_sample_count(wanted.pass_spp)
-    size = sampler.sample_count()
-    sampler.set_sample_count(before)
+    if sampler != own_sampler(camera):
+        return wanted  # those that can be asked for do not round
+    own = camera.sampler()
+    before = own.sample_count()
+    own.set_sample_count(wanted.pass_spp)
+    size = own.sample_count()
+    own.set_sample_count(before)
     return Plan(wanted.passes, size)
 
 
@@ -160,9 +165,9 @@ def _power_of_two(limit: int) -> int:
 
 
 def pass_seed(seed: int, number: int) -> int:
-    """Seed (32 bits) that Mitsuba gets for pass ``number`` of a run: a hash of both.
+    """Seed (32 bits) that Mitsuba gets for independent pass or replicate ``number`` of a run.
 
-    Runs with neighbouring seeds therefore share no pass, as they would with ``seed + number``.
+    A hash of both: runs with neighbouring seeds share no pass, as with ``seed + number``.
     """
     digest = hashlib.blake2b(f"{seed} {number}".encode(), digest_size=4).digest()
     return int.from_bytes(digest, "little")
@@ -179,22 +184,32 @@ def render_passes(
     sensor: int | str | mi.Sensor = 0,
     integrator: Any = None,
     start: int = 0,
+    sampler: str | None = None,
+    count: int | None = None,
 ) -> Iterator[Array]:
     """Render the passes of a plan one after the other, from number ``start`` on.
 
     Yields one image per pass, shape (height, width, 3): red, green and blue, equal in monochrome
     variants. Alpha and other channels of the film are dropped. ``integrator`` is by default the
-    scene's.
+    scene's, ``sampler`` as for :func:`render`. With ``nonexp_sobol`` pass k belongs to replicate
+    ``k % count`` (by default 8, or 4 for a plan of less than 256 samples per pixel): passes of one
+    replicate continue its sequence and depend on each other. With other samplers all passes are
+    independent.
     """
     camera = scene.sensors()[sensor_number(scene, sensor)]
+    plugin = sampler_of(camera, sampler)
+    count = replicates(plugin, plan.spp) if count is None else count
+    view = View(camera, plugin, plan.pass_spp)
     integrator = scene.integrator() if integrator is None else integrator
     film = camera.film()
     colours = film.base_channels_count()
     of_xyz = _xyz_to_rgb() if insides.is_xyz(film) else None
     for number in itertools.count(start) if plan.passes is None else range(start, plan.passes):
+        sequence = number if count is None else number % count
+        view.begin_at(0 if count is None else number // count * plan.pass_spp)
         with dr.suspend_grad():
             image = integrator.render(
-                scene, sensor=camera, seed=pass_seed(seed, number), spp=plan.pass_spp
+                scene, sensor=view.sensor, seed=pass_seed(seed, sequence), spp=plan.pass_spp
             )
         values = _rgb(np.array(image, dtype=np.float64), colours)
         yield values if of_xyz is None else values @ of_xyz

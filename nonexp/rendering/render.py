@@ -1,9 +1,9 @@
-"""Rendering in passes: the mean of independent images, and its standard error.
+"""Rendering in passes: an image as the mean of many, and its standard error.
 
 Mitsuba renders an image in one uninterruptible call. Here it is the mean of passes: images of few
-samples per pixel with independent random numbers. Between passes there is progress to report, a
-target to compare with and a checkpoint to write; their spread says how noisy the mean is.
-Works for any scene and integrator of Mitsuba.
+samples per pixel. Between passes there is progress to report, a target to compare with and a
+checkpoint to write; their spread says how noisy the mean is (:mod:`.sampling`: how passes depend on
+each other). Works for any scene and integrator of Mitsuba.
 
 >>> import mitsuba as mi, nonexp
 >>> mi.set_variant("llvm_ad_rgb")
@@ -27,12 +27,13 @@ import mitsuba as mi
 import numpy as np
 
 from ..images.image import Image
-from ..images.moments import Array, Moments, Noise
+from ..images.moments import Array, Noise
 from ..scene.load import load
 from .checkpoint import Keeper, newest
 from .job import RenderJob
 from .passes import render_passes
 from .progress import bar
+from .sampling import state as without_passes
 from .targets import BLACK, Progress, Run
 
 __all__ = ["Source", "render", "run"]
@@ -52,6 +53,7 @@ def render(
     seed: int = 0,
     sensor: int | str | mi.Sensor = 0,
     pass_spp: int | None = None,
+    sampler: str | None = None,
     checkpoint: str | Path | None = None,
     resume: bool = True,
     interval: float = 60,
@@ -68,6 +70,8 @@ def render(
     as 0.01 or ``"1%"``, with 95 % confidence (:class:`nonexp.images.moments.Noise` defines it). By
     default the samples of the scene's sampler. ``seed`` is a whole number >= 0. ``sensor`` is a
     sensor of the scene, its number or its id. ``pass_spp`` chooses the samples per pixel of a pass.
+    ``sampler`` is ``sobol`` or ``independent``, by default the scene's own sampler, but ``sobol``
+    in place of ``independent``: the plugin ``nonexp_sobol``, less noise from as many samples.
     ``progress=True`` shows a progress bar on a terminal or in Jupyter; ``on_progress`` is called
     after each pass, and may raise to stop the run.
 
@@ -77,9 +81,9 @@ def render(
     the same render, by default the scene's files, or :func:`nonexp.scene.identity.of_scene` for
     a scene in memory. ``source`` renders the passes elsewhere.
 
-    With a box filter and the ``independent`` sampler the same scene, seed, size and number of
-    passes give the same image to the last bit on the same type of machine, however often the run
-    was interrupted; otherwise to about 1e-5 (sums are made in parallel). Threads that call this
+    With a box filter and one of these two samplers the same scene, seed, size and number of passes
+    give the same image to the last bit on the same type of machine, however often the run was
+    interrupted; otherwise to about 1e-5 (sums are made in parallel). Threads that call this
     function render one after the other.
 
     Raises ``ValueError`` for an argument that is not allowed, for a scene file that cannot be
@@ -95,6 +99,7 @@ def render(
         "seed": seed,
         "sensor": sensor,
         "pass_spp": pass_spp,
+        "sampler": sampler,
         "checkpoint": checkpoint,
         "resume": resume,
         "interval": interval,
@@ -122,15 +127,16 @@ def run(
 
     With a ``name`` a progress bar shows it.
     """
-    state, seconds, keeper, unfinished = Moments(), 0.0, None, False
+    found, seconds, keeper, unfinished = None, 0.0, None, False
     if job.checkpoint is not None:
         found, wrong = (newest(job.checkpoint) if job.resume else None) or (None, "")
         if wrong:
             _warn(f"{wrong}: the one before it is used")
         if found is not None:
             job = job.going_on(found.identity)
-            state, seconds, unfinished = found.moments, found.seconds, not found.finished
+            seconds, unfinished = found.seconds, not found.finished
         keeper = Keeper(job, keep_present=found is not None and not wrong, warn=_warn)
+    state = without_passes(job.replicates) if found is None else found.moments
     passes = source or partial(_render_passes, scene)
     progress = Run(job.targets, job.plan.pass_spp, state, seconds)
     camera: Any = scene.sensors()[job.sensor]
@@ -167,7 +173,15 @@ def run(
 
 
 def _render_passes(scene: mi.Scene, job: RenderJob, start: int) -> Iterator[Array]:
-    return render_passes(scene, job.plan, job.seed, sensor=job.sensor, start=start)
+    return render_passes(
+        scene,
+        job.plan,
+        job.seed,
+        sensor=job.sensor,
+        start=start,
+        sampler=job.sampler,
+        count=job.replicates,
+    )
 
 
 def _image(job: RenderJob, done: Run) -> Image:
@@ -177,6 +191,7 @@ def _image(job: RenderJob, done: Run) -> Image:
         stderr=moments.stderr,
         spp=moments.passes * job.plan.pass_spp,
         passes=moments.passes,
+        independent=moments.independent,
         seed=job.seed,
         seconds=done.seconds,
         error=Noise.of(moments).error,

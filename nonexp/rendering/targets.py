@@ -9,9 +9,7 @@ from dataclasses import dataclass
 from numbers import Real
 from time import perf_counter
 
-import numpy as np
-
-from ..images.moments import Array, Moments, Noise
+from ..images.moments import Array, Moments, Noise, Replicates
 
 __all__ = ["BLACK", "Progress", "Run", "Targets", "fraction", "is_checked", "seconds"]
 
@@ -99,9 +97,13 @@ class Run:
     """A render in progress, from the ``moments`` and ``seconds`` that it has."""
 
     def __init__(
-        self, targets: Targets, pass_spp: int, moments: Moments, seconds: float = 0.0
+        self,
+        targets: Targets,
+        pass_spp: int,
+        moments: Moments | Replicates,
+        seconds: float = 0.0,
     ) -> None:
-        self.moments = moments
+        self.moments: Moments | Replicates = moments
         self.seconds = seconds
         self._targets = targets
         self._pass_spp = pass_spp
@@ -135,7 +137,7 @@ class Run:
         noise = self._look() if self._targets.error is not None else _UNKNOWN
         done, targets = self.moments.passes, self._targets
         only_error = targets.passes is None and targets.time is None
-        if only_error and done >= _PATIENCE and not np.nan_to_num(self.moments.mean).any():
+        if only_error and done >= _PATIENCE and not self.moments.lit:
             black = not self.moments.mean.any()
             raise ValueError(
                 f"error is {targets.error}, which cannot be reached: after {done} passes "

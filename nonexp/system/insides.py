@@ -17,6 +17,7 @@ import mitsuba as mi
 
 __all__ = [
     "anonymous",
+    "base_seed",
     "described",
     "faces",
     "flips_normals",
@@ -93,6 +94,12 @@ def described(*objects: Any) -> str:
     """What objects show when they are printed, without addresses and numbers of samples."""
     (text,) = anonymous(["\n".join(map(str, objects))])
     return _SAMPLES.sub("", text)
+
+
+def base_seed(sampler: Any) -> int:
+    """The parameter ``seed`` of a sampler: some say it only where they are printed."""
+    found = re.search(r"\b(?:base_)?seed = (\d+)", str(sampler))
+    return int(found[1]) if found else 0
 
 
 def is_xyz(film: Any) -> bool:

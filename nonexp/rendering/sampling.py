@@ -1,0 +1,138 @@
+"""Which sampler a render takes, and which of its numbers a pass gets.
+
+With ``nonexp_sobol`` passes belong in turn to a few replicates, which are scrambled independently;
+the passes of one replicate continue its sequence. The spread of the replicates is the noise.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mitsuba as mi
+
+from ..images.moments import Moments, Replicates
+from ..system import insides, machine
+
+__all__ = ["SAMPLERS", "SOBOL", "View", "replicates", "sampler_of", "state"]
+
+SAMPLERS = {"sobol": "nonexp_sobol", "independent": "independent"}
+"""What can be asked for, and the plugin that it is."""
+
+SOBOL = "nonexp_sobol"
+
+_REPLICATES, _FEW_REPLICATES, _MANY_SAMPLES = 8, 4, 256
+
+
+def replicates(sampler: str, spp: int | None) -> int | None:
+    """Number of replicates for ``spp`` samples per pixel, None where that is not known beforehand.
+
+    More make the standard error more certain, fewer leave longer sequences, which gain more. None
+    for a sampler whose passes are all independent.
+    """
+    if sampler != SOBOL:
+        return None
+    return _FEW_REPLICATES if spp is not None and spp < _MANY_SAMPLES else _REPLICATES
+
+
+def state(count: int | None) -> Moments | Replicates:
+    """The state of a render with so many replicates that has no pass yet."""
+    return Moments() if count is None else Replicates(count)
+
+
+def sampler_of(camera: Any, wanted: str | None = None) -> str:
+    """Plugin name of the sampler that a render with this sensor takes.
+
+    By default ``nonexp_sobol`` in the place of ``independent``, which is what a sensor has if none
+    is named, and any other as it is. Raises ``ValueError`` unless ``wanted`` is one of
+    :data:`SAMPLERS`.
+    """
+    if wanted is not None:
+        if wanted not in SAMPLERS:
+            raise ValueError(f"sampler is {wanted!r}: it must be {' or '.join(SAMPLERS)}")
+        return SAMPLERS[wanted]
+    own = own_sampler(camera)
+    return SOBOL if own == "independent" and machine.supported(mi.variant()) else own
+
+
+def own_sampler(camera: Any) -> str:
+    """Plugin name of the sampler that a sensor has."""
+    sampler = camera.sampler()
+    if type(sampler).__name__ == "NonexpSobol":
+        return SOBOL
+    return str(sampler.class_name()).removesuffix("Sampler").lower()
+
+
+class View:
+    """A sensor as a render sees it: with another sampler, where that is not its own.
+
+    Mitsuba cannot give a sensor another sampler. So a sensor that does what the first one does is
+    rendered in its place, and the scene stays as it is.
+    """
+
+    def __init__(self, camera: Any, sampler: str, pass_spp: int) -> None:
+        self.sensor, self._sequence = camera, None
+        own = camera.sampler()
+        if sampler == SOBOL and own_sampler(camera) == SOBOL:
+            made = own.fork()
+        elif sampler != own_sampler(camera):
+            seed = insides.base_seed(own)
+            made = mi.load_dict({"type": sampler, "sample_count": pass_spp, "seed": seed})
+        else:
+            return
+        self.sensor = _stand_in(camera, made)
+        self._sequence = made if sampler == SOBOL else None
+
+    def begin_at(self, sample: int) -> None:
+        """Let the next pass begin with this sample of its sequence."""
+        if self._sequence is not None:
+            self._sequence.first = sample
+
+
+def _stand_in(camera: Any, sampler: mi.Sampler) -> Any:
+    """A sensor with another sampler that does what ``camera`` does."""
+    base: Any = mi.Sensor  # of the variant that is set
+
+    class StandIn(base):
+        def sample_ray(self, *sample: Any) -> Any:
+            return camera.sample_ray(*sample)
+
+        def sample_ray_differential(self, *sample: Any) -> Any:
+            return camera.sample_ray_differential(*sample)
+
+        def sample_direction(self, *sample: Any) -> Any:
+            return camera.sample_direction(*sample)
+
+        def pdf_direction(self, *place: Any) -> Any:
+            return camera.pdf_direction(*place)
+
+        def eval_direction(self, *place: Any) -> Any:
+            return camera.eval_direction(*place)
+
+        def sample_position(self, *sample: Any) -> Any:
+            return camera.sample_position(*sample)
+
+        def pdf_position(self, *place: Any) -> Any:
+            return camera.pdf_position(*place)
+
+        def eval(self, *place: Any) -> Any:
+            return camera.eval(*place)
+
+        def sample_wavelengths(self, *sample: Any) -> Any:
+            return camera.sample_wavelengths(*sample)
+
+        def bbox(self) -> Any:
+            return camera.bbox()
+
+        def to_string(self) -> str:
+            return str(camera)
+
+    props = mi.Properties()
+    props["film"], props["sampler"] = camera.film(), sampler
+    props["shutter_open"] = camera.shutter_open()
+    props["shutter_close"] = camera.shutter_open() + camera.shutter_open_time()
+    if camera.get_medium() is not None:
+        props["medium"] = camera.get_medium()
+    sensor = StandIn(props)
+    sensor.m_needs_sample_2 = camera.m_needs_sample_2
+    sensor.m_needs_sample_3 = camera.m_needs_sample_3
+    return sensor
