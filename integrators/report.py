@@ -31,8 +31,10 @@ def findings(scene: mi.Scene) -> list[Finding]:
     sensors = scene.sensors()
     start = sensors[0].get_medium() if sensors else None
     wanted = getattr(scene.integrator(), "refractive_nee", "auto")
-    needs = SceneNeeds.of(scene, start, wanted, getattr(scene.integrator(), "hide_emitters", False))
-    media = scene_media(needs.media, needs.sealed, needs.shell is not None)
+    hides = getattr(scene.integrator(), "hide_emitters", False)
+    expected = getattr(scene.integrator(), "expected_emission", "auto")
+    needs = SceneNeeds.of(scene, start, wanted, hides, expected)
+    media = scene_media(needs.media, needs.sealed, needs.shell is not None, expected=needs.expected)
     spheres = [sphere.shape for sphere in separate(scene, needs.shell)[0]]
     emitters = Counter(emitter.class_name() for emitter in scene.emitters())
     return [

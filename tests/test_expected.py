@@ -1,0 +1,279 @@
+"""Expected values in place of draws: without bias, and only where the scene analysis says so."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from build import (
+    FURNACE,
+    LAMP,
+    MODELS,
+    QUICK,
+    Case,
+    ball,
+    beam,
+    box,
+    law,
+    medium,
+    model_id,
+    orthographic,
+    perspective,
+    scene,
+    stock,
+)
+from drjit.llvm import Float64
+from measure import assert_mean, assert_same, passes, radiance
+from tiers import quick, thorough
+
+from nonexp.integrators.expected import Rule
+from nonexp.models.exponential_mixture import ExponentialMixture
+
+ON = {"type": "nonexp_volpath", "expected_emission": "on"}
+OFF = {"type": "nonexp_volpath", "expected_emission": "off"}
+FEW = [case for case in QUICK if case[0] in ("linear", "gamma", "pulse", "mixture")]
+"""Atoms, a heavy tail, and a law made of others."""
+
+CLEAR = {"albedo": 0.0}
+
+
+def rgb(*values: float) -> dict[str, Any]:
+    return {"type": "rgb", "value": list(values)}
+
+
+def unit(case: Case) -> float:
+    return 1 / (float(law(case).sigma_bar) or 1.0)
+
+
+# ------------------------------------------------------------------------------- the rule
+
+
+@pytest.mark.parametrize("keep", [0.0, 1e-6, 0.3, 0.999, 1.0])
+def test_the_rule_is_without_bias_and_its_weights_are_small(keep: float) -> None:
+    """Also past surfaces inside one medium, where q is that of the first stretch."""
+    first = np.concatenate([[0, 1, 1e-30], np.linspace(0.01, 0.99, 50)])
+    for later in (1.0, 0.7, 0.0):
+        survived = first * later
+        rule = Rule.of(Float64(keep), Float64(first), Float64(0.5))
+        q, reached = np.array(rule.q), np.array(rule.reached(Float64(survived)))
+        collides, passing = (
+            np.array(rule.weight(there, Float64(survived))) for there in (True, False)
+        )
+        possible = q > 0
+        # What is drawn times its weight is what would be drawn without the rule.
+        np.testing.assert_allclose(q[possible] * collides[possible], 1, rtol=1e-12)
+        np.testing.assert_allclose(reached * passing, survived, atol=1e-15)
+        np.testing.assert_allclose(reached, 1 - q * (1 - survived), atol=1e-12)
+        assert np.all(passing <= 1 + 1e-12)
+        assert np.all(keep * collides[possible] <= 1 + 1e-12)
+    if keep == 1:
+        np.testing.assert_array_equal(q, 1)
+
+
+# ------------------------------------------------------------------------------- exact values
+
+
+@pytest.mark.parametrize("case", quick(MODELS, FEW.__contains__), ids=model_id)
+def test_absorption_has_no_noise(case: Case) -> None:
+    """A ray through an absorbing ball before a sky, whole and cut by surfaces, and a lamp in it."""
+    model, sigma_t = law(case), 0.7 * unit(case)
+    inside = medium(*case, sigma_t=sigma_t, **CLEAR)
+    one = radiance(scene(ON, sensor=beam(), ball=ball(inside), sky=FURNACE), 256, 1)
+    np.testing.assert_allclose(one, float(model.ff(2 * sigma_t)), rtol=2e-5, atol=1e-7)
+
+
+def nested(case: Case, **kw: Any) -> dict[str, Any]:
+    """A ball with a smaller one of the same medium in it, and a lamp within that."""
+    fog = {"type": "ref", "id": "fog"}
+    lamp = mi.ScalarTransform4f().translate([0, 0, -0.1]).scale(0.2)
+    return {
+        "fog": {**medium(*case, **kw), "id": "fog"},
+        "ball": ball(fog),
+        "core": {**ball(fog, radius=0.6), "exterior": fog},
+        "lamp": {
+            "type": "rectangle",
+            "to_world": lamp,
+            "bsdf": {"type": "diffuse", "reflectance": 0.0},
+            "emitter": {"type": "area", "radiance": 3.0},
+        },
+    }
+
+
+@pytest.mark.parametrize("case", quick(QUICK, FEW.__contains__), ids=model_id)
+@pytest.mark.parametrize("colour", [False, True], ids=["grey", "chromatic"])
+def test_absorption_has_no_noise_past_invisible_surfaces(case: Case, colour: bool) -> None:
+    """Three of them before a lamp that stands in the medium."""
+    model, sigma_t = law(case), [0.7 * unit(case), 0.4 * unit(case), 0.1 * unit(case)]
+    given = rgb(*sigma_t) if colour else sigma_t[0]
+    built = scene(ON, sensor=beam(), **nested(case, sigma_t=given, **CLEAR))
+    samples = radiance(built, 64, 2, channels=True)
+    for channel, sigma in zip(samples, sigma_t if colour else [sigma_t[0]] * 3, strict=True):
+        expected = 3 * float(model.ff(1.1 * sigma))
+        np.testing.assert_allclose(channel, expected, rtol=3e-5, atol=1e-6)
+
+
+def erlang_absorbs(albedo: float) -> float:
+    """Of light on a ball of radius 1, by erlang(2, 1) with extinction 1, where 0 < albedo < 1."""
+    s = math.sqrt(1 - albedo)
+    sinh, cosh = math.sinh(s), math.cosh(s)
+    return 4 * (s * cosh - sinh) / (sinh + s * cosh)
+
+
+@pytest.mark.parametrize("albedo", [0.2, *thorough(0.45, 0.9)])
+@pytest.mark.parametrize("connecting", [True, *thorough(False)], ids=["shadow rays", "flights"])
+@pytest.mark.parametrize("whole", [*thorough(True), False], ids=["whole", "cut"])
+def test_an_erlang_ball(albedo: float, connecting: bool, whole: bool, effort: int) -> None:
+    """All orders of scattering, with the rule, also where flights go on past a surface within."""
+    inside = medium("erlang", {"k": 2}, sigma_t=1.0, albedo=albedo, sample_emitters=connecting)
+    inside["transmittance"] = medium("erlang", {"k": 2, "rate": 1.0})["transmittance"]
+    fog = {"type": "ref", "id": "fog"}
+    parts = {"fog": {**inside, "id": "fog"}, "ball": ball(fog)}
+    if not whole:
+        parts["core"] = {**ball(fog, radius=0.6), "exterior": fog}
+    built = scene({**ON, "rr_depth": 1000}, sensor=orthographic(), sky=FURNACE, **parts)
+    lost = 1 - passes(built, 2**11 * effort, 3)
+    assert_mean(lost, math.pi / 4 * erlang_absorbs(albedo), 0.03 / effort**0.5)
+
+
+def test_a_mask_within(effort: int) -> None:
+    """A flight may scatter on a surface inside its medium, or go on past it."""
+    mask = {"type": "mask", "opacity": 0.5, "nested": {"type": "diffuse"}}
+    images = []
+    for seed, integrator in enumerate((ON, OFF)):
+        parts = nested(("linear", {"b": 1.5}), sigma_t=rgb(1.4, 0.7, 0.7), albedo=0.3)
+        parts["core"]["bsdf"] = mask
+        built = scene(integrator, sensor=orthographic(), sky=FURNACE, **parts)
+        images.append(passes(built, 2**9 * effort, seed, 2, channels=True).reshape(12, -1))
+    assert_same(*images, 0.03 / effort**0.5)
+
+
+# ------------------------------------------------------------------------------- beside draws
+
+
+def lamp_in_fog(camera_inside: bool = True, **kw: Any) -> dict[str, Any]:
+    """A glossy ball and a lamp in fog."""
+    fog = {"type": "ref", "id": "fog"}
+    camera = perspective([0.5, 0.6, 2.0], [0, 0, 0], 60)
+    metal = {"type": "roughconductor", "material": "Au", "alpha": 0.2}
+    return {
+        "fog": {**medium(**kw), "id": "fog"},
+        "bounds": {**ball(fog, radius=3.0)},
+        "sensor": {**camera, "medium": fog} if camera_inside else camera,
+        "ball": {"type": "sphere", "radius": 0.5, "bsdf": metal},
+        "lamp": {**LAMP, "center": [0.2, 1.6, 0.3]},
+        "sky": {"type": "constant", "radiance": 0.3},
+    }
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"max_depth": 1},
+        *thorough({"max_depth": 2}, {"max_depth": 3, "hide_emitters": True}, {"rr_depth": 1}),
+    ],
+    ids=str,
+)
+@pytest.mark.parametrize("albedo", [0.2, *thorough(0.8)])
+def test_depths_and_hidden_emitters(options: dict[str, Any], albedo: float, effort: int) -> None:
+    parts = lamp_in_fog(model="gamma", sigma_t=0.4, albedo=albedo)
+    images = [
+        passes(scene({**kind, **options}, **parts), 2**9 * effort, seed, 2)
+        for seed, kind in enumerate((ON, OFF))
+    ]
+    assert_same(*images, 0.07 / effort**0.5)
+
+
+def test_the_share_of_a_pixel_that_is_covered(effort: int) -> None:
+    """Alpha is the chance of a collision, though not all collisions are kept."""
+    model, count = law(("linear", {"b": 2.0})), 2**15 * effort
+    for albedo in (0.0, 0.2):
+        inside = medium("linear", {"b": 2.0}, sigma_t=0.4, albedo=albedo)
+        sun = {"type": "point", "position": [0, 3, 0]}
+        built = scene(ON, sensor=beam(), **nested_ball(inside), sun=sun)
+        sampler = mi.load_dict({"type": "independent"})
+        sampler.seed(5, count)
+        sensor = built.sensors()[0]
+        ray, _ = sensor.sample_ray_differential(0.0, 0.5, sampler.next_2d(), sampler.next_2d())
+        _, alpha, _ = built.integrator().sample(built, sampler, ray, None, True)
+        assert_mean(np.array(alpha, dtype=float), 1 - float(model.ff(0.8)), 0.05)
+
+
+def nested_ball(inside: dict[str, Any]) -> dict[str, Any]:
+    fog = {"type": "ref", "id": "fog"}
+    core = {**ball(fog, radius=0.6), "exterior": fog}
+    return {"fog": {**inside, "id": "fog"}, "ball": ball(fog), "core": core}
+
+
+# ------------------------------------------------------------------------------- other media
+
+
+def ramp(case: Case, **kw: Any) -> dict[str, Any]:
+    """A cube of side 2, whose density rises from 0 to 1 along z."""
+    values = np.linspace(0, 1, 8, dtype=np.float32)[:, None, None, None] * np.ones((1, 4, 4, 1))
+    place = mi.ScalarTransform4f().translate([-1] * 3).scale(2)
+    grid = mi.VolumeGrid(values.astype(np.float32))
+    density = {"type": "gridvolume", "grid": grid, "to_world": place}
+    return {**medium(*case, **kw), "type": "nonexp_heterogeneous", "sigma_t": density}
+
+
+@pytest.mark.parametrize("case", FEW[:: len(FEW) - 1], ids=model_id)
+def test_absorption_by_a_grid_has_no_noise(case: Case) -> None:
+    """The column is 1 whether or not a flight has collided before its end."""
+    inside = ramp(case, extinction=0.8 * unit(case), tracking="regular", **CLEAR)
+    for parts in ({"ball": box(inside, [-1.2] * 3, [1.2] * 3)}, nested_cube(inside)):
+        samples = radiance(scene(ON, sensor=beam(), sky=FURNACE, **parts), 64, 6)
+        np.testing.assert_allclose(samples, float(law(case).ff(0.8 * unit(case))), rtol=1e-4)
+
+
+def nested_cube(inside: dict[str, Any]) -> dict[str, Any]:
+    fog = {"type": "ref", "id": "fog"}
+    core = {**ball(fog, radius=0.6), "exterior": fog}
+    outer = box(fog, [-1.2] * 3, [1.2] * 3)
+    return {"fog": {**inside, "id": "fog"}, "outer": outer, "core": core}
+
+
+def test_memory() -> None:
+    """Of a mixture of two materials that only absorbs: its transmittance."""
+    pair = {"sigma_t": "0.2, 1.5", "chord": "0.8, 0.2", "albedo": 0.0}
+    parts = nested_ball({"type": "nonexp_binary_mixture", **pair})
+    samples = radiance(scene(ON, sensor=beam(), sky=FURNACE, **parts), 64, 7)
+    exact = float(ExponentialMixture.levermore(0.2, 1.5, 0.8, 0.2).ff(2.0))
+    np.testing.assert_allclose(samples, exact, rtol=2e-5)
+
+
+def row(tracking: str) -> dict[str, Any]:
+    """Media of all kinds in a row before a lamp and a sky."""
+    place = mi.ScalarTransform4f()
+    grid = ramp(("exponential", {}), extinction=0.8, albedo=0.3, tracking=tracking)
+    memory = {"type": "nonexp_binary_mixture", "sigma_t": "0.2, 1.5", "chord": "0.8, 0.2"}
+    insides = [
+        medium("linear", {"b": 1.3}, sigma_t=rgb(0.5, 1.0, 0.5), albedo=0.1),
+        grid,
+        {**memory, "albedo": 0.4},
+        stock(sigma_t=0.7, albedo=0.2),
+        medium("gamma", sigma_t=0.7, albedo=0.9),
+    ]
+    parts = {
+        f"box {i}": {
+            "type": "cube",
+            "to_world": place.translate([0, 0, 2.4 * (i - 2)]),
+            "bsdf": {"type": "null"},
+            "interior": inside,
+        }
+        for i, inside in enumerate(insides)
+    }
+    return {**parts, "lamp": {**LAMP, "center": [0, 1.8, -2]}, "sky": FURNACE}
+
+
+@pytest.mark.parametrize("tracking", ["delta", *thorough("regular")])
+def test_media_of_all_kinds_together(tracking: str, effort: int) -> None:
+    """Tracked ones are left to their draws."""
+    camera = perspective([0.5, 0.4, 8], [0, 0, 0], 25)
+    images = [
+        passes(scene(kind, sensor=camera, **row(tracking)), 2**9 * effort, seed, 2)
+        for seed, kind in enumerate((ON, OFF))
+    ]
+    assert_same(*images, 0.04 / effort**0.5)
