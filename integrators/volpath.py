@@ -39,6 +39,11 @@ class NonexpVolpath(mi.SamplingIntegrator):
     ``refractive_nee`` (``auto``, ``on`` or ``off``, default ``auto``)
         Connect what lies inside smooth glass to emitters outside, through one surface. ``auto``:
         where something inside can connect, and light comes from somewhere rather than everywhere.
+    ``expected_emission`` (``auto``, ``on`` or ``off``, default ``auto``)
+        Count emission that a ray meets in a medium with its expected value, also where the flight
+        collides before; and in dark media (albedo below 1/3) let fewer paths collide, with larger
+        weights. ``auto``: where that pays; ``on``: in all media but those with null collisions;
+        ``off``: flights are drawn as light flies. The image is the same, the noise is not.
 
     A flight through a medium is drawn from the law that its origin asks for: one law after a
     collision in this medium, the other after anything else (see :mod:`nonexp.transmittance`).

@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
 from build import (
+    DRAWN,
     FURNACE,
     LAMP,
     MODELS,
@@ -26,14 +28,15 @@ from build import (
     stock,
 )
 from drjit.llvm import Float64
-from measure import assert_mean, assert_same, passes, radiance
+from measure import assert_mean, assert_same, largest_kernel, passes, radiance
 from tiers import quick, thorough
 
 from nonexp.integrators.expected import Rule
+from nonexp.integrators.media import scene_media
+from nonexp.integrators.needs import SceneNeeds
 from nonexp.models.exponential_mixture import ExponentialMixture
 
 ON = {"type": "nonexp_volpath", "expected_emission": "on"}
-OFF = {"type": "nonexp_volpath", "expected_emission": "off"}
 FEW = [case for case in QUICK if case[0] in ("linear", "gamma", "pulse", "mixture")]
 """Atoms, a heavy tail, and a law made of others."""
 
@@ -142,7 +145,7 @@ def test_a_mask_within(effort: int) -> None:
     """A flight may scatter on a surface inside its medium, or go on past it."""
     mask = {"type": "mask", "opacity": 0.5, "nested": {"type": "diffuse"}}
     images = []
-    for seed, integrator in enumerate((ON, OFF)):
+    for seed, integrator in enumerate((ON, DRAWN)):
         parts = nested(("linear", {"b": 1.5}), sigma_t=rgb(1.4, 0.7, 0.7), albedo=0.3)
         parts["core"]["bsdf"] = mask
         built = scene(integrator, sensor=orthographic(), sky=FURNACE, **parts)
@@ -181,7 +184,7 @@ def test_depths_and_hidden_emitters(options: dict[str, Any], albedo: float, effo
     parts = lamp_in_fog(model="gamma", sigma_t=0.4, albedo=albedo)
     images = [
         passes(scene({**kind, **options}, **parts), 2**9 * effort, seed, 2)
-        for seed, kind in enumerate((ON, OFF))
+        for seed, kind in enumerate((ON, DRAWN))
     ]
     assert_same(*images, 0.07 / effort**0.5)
 
@@ -274,6 +277,90 @@ def test_media_of_all_kinds_together(tracking: str, effort: int) -> None:
     camera = perspective([0.5, 0.4, 8], [0, 0, 0], 25)
     images = [
         passes(scene(kind, sensor=camera, **row(tracking)), 2**9 * effort, seed, 2)
-        for seed, kind in enumerate((ON, OFF))
+        for seed, kind in enumerate((ON, DRAWN))
     ]
     assert_same(*images, 0.04 / effort**0.5)
+
+
+# ------------------------------------------------------------------------------- the decisions
+
+
+def decided(wanted: str = "auto", **parts: Any) -> list[tuple[bool, float, float | None]]:
+    """For each medium: expects emission, how far, and the rule's parameter."""
+    built = scene(**parts)
+    start = built.sensors()[0].get_medium() if built.sensors() else None
+    found = SceneNeeds.of(built, start, expected=wanted).expected
+    return [(one.emission, one.far, one.keep) for one in found]
+
+
+def test_the_scene_decides() -> None:
+    room = lamp_in_fog(model="linear", albedo=0.75)
+    del room["bounds"]
+    dark = lamp_in_fog(model="linear", albedo=rgb(0.1, 0.1, 0.2))
+    assert decided(**room) == [(True, 2.0, None)]
+    assert decided("on", **room) == [(True, math.inf, None)]
+    assert decided("off", **room) == decided("off", **dark) == []
+    assert decided(**dark) == [(True, math.inf, pytest.approx(0.6))]
+    assert decided(**lamp_in_fog(model="linear", albedo=0.9)) == []
+    glow = lamp_in_fog(model="linear", albedo=0.2, emission=0.1)
+    assert decided(**glow) == [(True, 2.0, None)]  # collisions are worth more than their albedo
+    # Behind a boundary without a lamp inside no emission is met: only the rule is left.
+    sky = {"sky": FURNACE}
+    for bsdf in ("null", "dielectric"):
+        assert decided(ball=ball(medium(albedo=0.9), bsdf), **sky) == []
+        closed = decided(ball=ball(medium(albedo=0.0), bsdf), **sky)
+        assert closed == [(False, math.inf, 0.0)]
+    lit = {"lamp": {**LAMP, "center": [0, 0, 0]}, "ball": ball(medium(albedo=0.5))}
+    assert decided(**lit) == [(True, 2.0, None)]
+    lit["lamp"] = {"type": "point", "position": [0, 0, 0]}
+    assert decided(**lit) == []
+    for dark_one in (stock(albedo=0.2), ramp(("linear", {}), albedo=0.2, tracking="regular")):
+        ((_, _, keep),) = decided(ball=ball(dark_one), **sky)
+        assert keep == pytest.approx(0.6)
+
+
+def test_tracked_media_are_left_to_draws() -> None:
+    built = scene(ball=ball(ramp(("gamma", {}), albedo=0.2, tracking="delta")), sky=FURNACE)
+    needs = SceneNeeds.of(built)
+    media = scene_media(needs.media, needs.sealed, expected=needs.expected)
+    assert needs.expected and media is not None and not media.looks
+
+
+@pytest.mark.parametrize("bsdf", ["null", "dielectric"])
+def test_nothing_is_left_of_it_where_it_is_not_used(bsdf: str) -> None:
+    """The same kernel, and the same image to the last bit."""
+    parts = {"ball": ball(medium("gamma", albedo=0.75), bsdf), "lamp": LAMP, "sky": FURNACE}
+    camera = perspective([0, 0, 4], [0, 0, 0])
+    built = scene(sensor=camera, **parts)
+    drawing = mi.load_dict(DRAWN)
+    images, operations = [], []
+    for integrator in (built.integrator(), drawing):
+        images.append(np.array(mi.render(built, integrator=integrator, spp=4, seed=8)))
+        kernel = largest_kernel(lambda i=integrator: dr.eval(i.render(built, spp=4, seed=8)))
+        operations.append(kernel["operation_count"])
+    np.testing.assert_array_equal(*images)
+    assert operations[0] == operations[1]
+
+
+def test_an_albedo_that_changes_is_noticed() -> None:
+    built = scene(sensor=beam(), ball=ball(medium(albedo=0.9, sigma_t=0.5)), sky=FURNACE)
+    parameters = mi.traverse(built)
+    assert not SceneNeeds.of(built).expected
+    parameters["ball.interior_medium.albedo.value.value"] = 0.0
+    parameters.update()
+    np.testing.assert_allclose(radiance(built, 64, 9), math.exp(-1), rtol=1e-5)
+
+
+def test_derivatives_draw_everything() -> None:
+    """Replayed paths are those of analog flights, whatever the parameter says."""
+    slopes = []
+    for integrator in (ON, DRAWN):
+        built = scene(integrator, **lamp_in_fog(model="gamma", sigma_t=0.4, albedo=0.2))
+        parameters = mi.traverse(built)
+        key = "fog.sigma_t.value.value"
+        dr.enable_grad(parameters[key])
+        parameters.update()
+        image = mi.render(built, parameters, spp=4, seed=3)
+        dr.backward(dr.mean(image, axis=None))
+        slopes.append(float(dr.grad(parameters[key])[0]))
+    assert slopes[0] == slopes[1] != 0
