@@ -26,6 +26,8 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from .media import Media
+
 
 @dataclass
 class Begun:
@@ -103,6 +105,83 @@ class Rule:
         """Densities of a flight, one per channel, with the rule."""
         changed = dr.select(collided, self.q * densities, self.reached(outlook.survived))
         return dr.select(outlook.here, changed, densities)
+
+
+@dataclass
+class Way:
+    """The ray of a flight, up to the surface that it hits."""
+
+    inside: Any
+    """it runs in a medium"""
+    origin: Any
+    """where the flight began, as media ask for it"""
+    extinction: Any
+    si: Any
+    """the surface"""
+    o: Any
+    d: Any
+    far: Any
+    """length of the ray"""
+    gap: Any
+    """distance from the last event to its origin"""
+    travelled: Any
+    """distance from there to the collision, if there is one"""
+    horizon: Any
+    """distance up to which emission is expected (None: any)"""
+
+
+def look(
+    media: Media, flight: Any, way: Way, sampler: mi.Sampler, collided: Any, column: Any
+) -> tuple[Outlook, Any]:
+    """What is expected of a flight, and the integral of the density up to the surface, also where
+    it has ``collided`` before."""
+    location, begun, chromatic = flight.location, flight.begun, media.chromatic
+    here = way.inside & media.holds("looks", location)
+    column = dr.select(here, _whole_column(media, location, way, here, collided, column), column)
+    depth = (column + flight.flown if begun else column) * way.extinction
+    depth = dr.select(way.extinction > 0, depth, 0)  # none where nothing collides, however far
+    survived = media.ask("survival", location, way.origin, depth)
+    before = type(survived)(1)
+    if begun:
+        before = dr.select(flight.fresh, before, begun.survived)
+    rule, reached = None, before
+    if media.refuses:
+        first = dr.mean(survived) if chromatic else survived
+        if begun:
+            first = dr.select(flight.fresh, first, begun.first)
+        rule = Rule.of(media.keep(location), first, sampler.next_1d(here))
+        if begun:
+            rule.kept = dr.select(flight.fresh, rule.kept, begun.kept)
+        reached = rule.reached(before)
+    seen = None
+    if media.any("expects"):
+        seen = here & media.holds("expects", location)
+        if way.horizon is not None:
+            seen &= way.si.t <= way.horizon
+    emission = survived
+    if begun and chromatic:
+        emission = flight.balance * ratio(survived, dr.mean(flight.balance * reached))
+    elif begun:
+        emission = ratio(survived, reached)
+    elif chromatic:
+        emission = flight.balance * survived
+    return Outlook(here, survived, seen, emission, rule), column
+
+
+def _whole_column(
+    media: Media, location: Any, way: Way, here: Any, collided: Any, column: Any
+) -> Any:
+    """Integral of the density from the last event to the surface; ``column`` is that to the
+    collision in grids."""
+    far = dr.select(way.far < dr.largest(mi.Float), way.far, dr.inf)
+    end = dr.select(way.si.is_valid(), way.si.t, far) + way.gap
+    if not media.walks:
+        return end
+    walked = media.where("walked", location)
+    p, left = dr.fma(way.travelled - way.gap, way.d, way.o), end - way.travelled
+    beyond = here & walked & collided
+    rest = media.ask("column", location, p, way.d, left, way.extinction, active=beyond)
+    return dr.select(walked, dr.select(collided, column + rest, column), end)
 
 
 def ratio(a: Any, b: Any) -> Any:

@@ -16,7 +16,7 @@ import mitsuba as mi
 from . import tracking
 from .adjoint import Adjoint, Record
 from .connection import BentRay, Connections, Hit, Link, Start
-from .expected import Begun, Outlook, Rule, ratio
+from .expected import Begun, Outlook, Way, look
 from .media import Media, medium_interaction, optical_depth
 from .rays import Contact
 from .spectral import at_channel, balanced
@@ -386,8 +386,8 @@ class Events:
         outlook = drawn_collision = None
         if media.looks:
             drawn_collision = collided
-            ways = inside, origin, extinction, si, gap, travelled, horizon
-            outlook, column = self._look(media, s, flight, sampler, ways, collided, column)
+            way = Way(inside, origin, extinction, si, s.o, s.d, s.far, gap, travelled, horizon)
+            outlook, column = look(media, flight, way, sampler, collided, column)
             if outlook.rule:
                 collided = collided & (outlook.rule.kept | ~outlook.here)
         p = dr.select(collided, _collision(s, flight, travelled, gap), si.p)
@@ -417,60 +417,6 @@ class Events:
         """Length of a flight up to which emission is expected; 0 where none is."""
         mean = dr.mean(extinction) if self.chromatic else extinction
         return media.ask("horizon", location, mean)
-
-    def _look(
-        self,
-        media: Media,
-        s: Path,
-        flight: Flight,
-        sampler: mi.Sampler,
-        ways: tuple[Any, ...],
-        collided: Any,
-        column: Any,
-    ) -> tuple[Outlook, Any]:
-        """What is expected of a flight, and the integral of the density up to the surface, also
-        where it has ``collided`` before."""
-        inside, origin, extinction, si, gap, travelled, horizon = ways
-        location, begun = flight.location, flight.begun
-        here = inside & media.holds("looks", location)
-        far = dr.select(s.far < dr.largest(mi.Float), s.far, dr.inf)
-        end = dr.select(si.is_valid(), si.t, far) + gap
-        whole = end
-        if media.walks:
-            walked = media.where("walked", location)
-            p = dr.fma(travelled - gap, s.d, s.o)
-            rest = media.ask(
-                "column", location, p, s.d, end - travelled, extinction,
-                active=here & walked & collided,
-            )  # fmt: skip
-            whole = dr.select(walked, dr.select(collided, column + rest, column), end)
-        column = dr.select(here, whole, column)
-        depth = (column + flight.flown if begun else column) * extinction
-        depth = dr.select(extinction > 0, depth, 0)
-        survived = media.ask("survival", location, origin, depth)
-        before = type(survived)(1)
-        if begun:
-            before = dr.select(flight.fresh, before, begun.survived)
-        rule, reached = None, before
-        if media.refuses:
-            u = sampler.next_1d(here)
-            first = dr.mean(survived) if self.chromatic else survived
-            first = dr.select(flight.fresh, first, begun.first) if begun else first
-            rule = Rule.of(media.keep(location), first, u)
-            if begun:
-                rule.kept = dr.select(flight.fresh, rule.kept, begun.kept)
-            reached = rule.reached(before)
-        seen = here & media.holds("expects", location) if media.any("expects") else None
-        if seen is not None and horizon is not None:
-            seen &= si.t <= horizon
-        emission = survived
-        if begun and self.chromatic:
-            emission = flight.balance * ratio(survived, dr.mean(flight.balance * reached))
-        elif begun:
-            emission = ratio(survived, reached)
-        elif self.chromatic:
-            emission = flight.balance * survived
-        return Outlook(here, survived, seen, emission, rule), column
 
     def _weigh(
         self, media: Media, s: Path, flight: Flight, a: Arrival, outlook: Outlook, collided: Any
