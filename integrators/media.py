@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -111,6 +111,27 @@ class Entry(ABC):
     """extinction depends neither on direction nor on wavelengths that differ from path to path"""
     emission: Callable[..., Any] | None
     """source function at a medium interaction; None if it does not emit"""
+    expects: bool = field(default=False, kw_only=True)
+    """emission behind it counts by expectation (see :mod:`.expected`)"""
+    far: float = field(default=dr.inf, kw_only=True)
+    """mean free paths up to which it does"""
+    keep: float | None = field(default=None, kw_only=True)
+    """parameter of the rule for collisions, within [0, 1); None: all collisions count"""
+
+    @property
+    def looks(self) -> bool:
+        """The transmittance up to the next surface is known, past a collision."""
+        return self.expects or self.refuses
+
+    @property
+    def looks_far(self) -> bool:
+        """It is, however far."""
+        return self.looks and self.far == dr.inf
+
+    @property
+    def refuses(self) -> bool:
+        """Some collisions are not kept."""
+        return self.keep is not None
 
     @property
     def tracked(self) -> bool:
@@ -186,6 +207,14 @@ class Entry(ABC):
         """Where the next flight begins, as :attr:`Origin.start`, if this one collides at ``tau``:
         from a random number ``u``."""
         return mi.UInt32(1)
+
+    def horizon(self, sigma_t: Any, active: Any) -> Any:
+        """Distance up to which emission counts by expectation; 0 if it does not."""
+        if not self.looks:
+            return mi.Float(0)
+        if self.far == dr.inf:
+            return mi.Float(dr.inf)
+        return mi.Float(self.far / (self.model.sigma_bar * sigma_t))
 
     def distance(self, o: Any, d: Any, length: Any, column: Any, active: Any) -> tuple[Any, Any]:
         """Distance along a ray over which the density integrates to ``column``, if it is not beyond
@@ -577,19 +606,28 @@ def _stock_albedo(medium: Any, mei: Any, active: Any = True) -> Any:
     return mi.UnpolarizedSpectrum(dr.select(sigma_t > 0, sigma_s / sigma_t, 0))
 
 
+def _kept(entry: Entry) -> float:
+    return 1.0 if entry.keep is None else entry.keep
+
+
 # --------------------------------------------------------------------- all media of a scene
 
 
 def scene_media(
-    pointers: Sequence[Any], sealed: Sequence[Any], everywhere: bool = False, regular: bool = False
+    pointers: Sequence[Any],
+    sealed: Sequence[Any],
+    everywhere: bool = False,
+    regular: bool = False,
+    expected: Sequence[Expected] = (),
 ) -> Media | None:
     """Those of some media in which anything can collide; None if there is none.
 
     No straight line from the ``sealed`` ones reaches an emitter. ``everywhere``: the only one is
-    bounded by its grid alone. ``regular``: grids are walked.
+    bounded by its grid alone. ``regular``: grids are walked. ``expected``: in these, draws give way
+    to expected values.
     """
     found = (entry_of(pointer, pointer in sealed, regular) for pointer in pointers)
-    entries = [entry for entry in found if entry is not None]
+    entries = [_expecting(entry, expected) for entry in found if entry is not None]
     if not entries:
         return None
     if everywhere:
@@ -597,6 +635,27 @@ def scene_media(
     if len(entries) == 1:
         return OneMedium(entries[0], alone=len(pointers) == 1)
     return ManyMedia(entries)
+
+
+@dataclass(frozen=True)
+class Expected:
+    """A medium in which draws give way to expected values."""
+
+    medium: Any
+    emission: bool
+    """as :attr:`Entry.expects`"""
+    far: float
+    """as :attr:`Entry.far`"""
+    keep: float | None
+    """as :attr:`Entry.keep`"""
+
+
+def _expecting(entry: Entry, expected: Sequence[Expected]) -> Entry:
+    """An entry that knows of expected values, if its flights know their transmittance."""
+    for one in expected:
+        if one.medium == entry.pointer and not entry.tracked:
+            return replace(entry, expects=one.emission, far=one.far, keep=one.keep)
+    return entry
 
 
 class Media(ABC):
@@ -616,6 +675,10 @@ class Media(ABC):
         """Flights through some medium walk through a grid."""
         self.remembers = self.any("remembers")
         """Paths through some medium carry its material."""
+        self.looks = self.any("looks")
+        """Transmittances up to the next surface are of use in some medium."""
+        self.refuses = self.any("refuses")
+        """Some medium does not keep all collisions."""
         self._draws = max(entry.draws for entry in entries)
 
     def any(self, fact: str) -> bool:
@@ -687,6 +750,10 @@ class Media(ABC):
     def _mixed(self, fact: str, location: Any) -> Any:
         """Mask of the locations for which a fact holds that differs between media."""
 
+    @abstractmethod
+    def keep(self, location: Any) -> Any:
+        """:attr:`Entry.keep` at locations in media; 1 where all collisions count."""
+
     # ------------------------------------------------------------- what is asked there
 
     @abstractmethod
@@ -746,6 +813,9 @@ class OneMedium(Media):
     def _mixed(self, fact: str, location: Any) -> Any:
         raise AssertionError("a single medium has no facts that differ")
 
+    def keep(self, location: Any) -> Any:
+        return opaque(mi.Float, _kept(self.entries[0]))
+
     def _each(self, question: Callable[..., Any], location: Any, *args: Any, active: Any) -> Any:
         return question(self.entries[0], *args, active=active)
 
@@ -797,6 +867,9 @@ class ManyMedia(Media):
     def _mixed(self, fact: str, location: Any) -> Any:
         facts = mi.Bool([getattr(entry, fact) for entry in self.entries])
         return self._gathered(facts, location)
+
+    def keep(self, location: Any) -> Any:
+        return self._gathered(mi.Float([_kept(entry) for entry in self.entries]), location)
 
     def _gathered(self, values: Any, location: Any) -> Any:
         return dr.gather(type(values), values, location - 1, location != 0)

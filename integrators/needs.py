@@ -8,15 +8,17 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from nonexp.plugins.spectra import visible
 from nonexp.scene import walk
 from nonexp.system import insides
 
 from .coincident import Coincident, coincident, scatters
 from .jit import Remembered, recording
-from .media import entry_of
+from .media import Expected, entry_of
 from .rays import Offset, detachable, place, state
 
 _SMOOTH = ("Sphere", "Cylinder", "Disk", "Rectangle")
@@ -32,6 +34,17 @@ _TELLING = (
     "LinearRetarder",
     "CircularPolarizer",
 )
+
+_WORTH = 3.0
+"""Worth of a collision over its albedo, that of a surface being 1: squared errors are least at 1.5,
+relative ones, which count dark surfaces, at 5."""
+
+_BRIGHT = 0.8
+"""Albedo above which expected emission gains next to nothing: other noise is larger."""
+
+_FAR = 2.0
+"""Mean free paths that rays look ahead in bright media: to trace them farther takes more time than
+it saves."""
 
 _known = Remembered(64)
 
@@ -70,21 +83,29 @@ class SceneNeeds:
     """BSDFs that let rays straight through, but do not tell shadow rays how many."""
     shell: Any = None
     """The invisible boundary of the only medium, around all of its grid: rays can do without."""
+    expected: tuple[Expected, ...] = ()
+    """Media in which expected values take the place of draws."""
 
     @staticmethod
     def of(
-        scene: mi.Scene, start: Any = None, refractive: str = "auto", hides: bool = False
+        scene: mi.Scene,
+        start: Any = None,
+        refractive: str = "auto",
+        hides: bool = False,
+        expected: str = "auto",
     ) -> SceneNeeds:
         """Look at ``scene``; ``start`` is the medium in which the rays begin, if any.
 
         ``refractive`` says whether connections bend: ``auto`` (where that helps), ``on`` (wherever
-        they can) or ``off``. ``hides``: rays pass emitters that are hidden.
+        they can) or ``off``. ``hides``: rays pass emitters that are hidden. ``expected`` says
+        whether expected values take the place of draws, likewise.
         """
         shapes, media = walk.shapes(scene), walk.media(scene)
         if start is not None and start not in media:
             media.insert(0, start)
         sealed = tuple(m for m in media if m != start and _sealed(scene, shapes, m))
         shell = None if hides else _shell(scene, shapes, media)
+        bounds = shapes
         shapes = [shape for shape in shapes if shape != shell]
         direct = [shape for shape in scene.shapes() if shape != shell]
         together = coincident(direct, Offset(scene).extent)
@@ -114,6 +135,7 @@ class SceneNeeds:
             coincident=together,
             silent=_silent(shapes),
             shell=shell,
+            expected=_expected(scene, bounds, media, start, shell, expected),
         )
 
 
@@ -233,7 +255,15 @@ def _tells(bsdf: Any) -> bool:
 
 
 def _sealed(scene: mi.Scene, shapes: list[Any], medium: Any) -> bool:
-    """Whether ``medium`` fills closed shapes that let nothing straight through and hold no emitter.
+    """Whether ``medium`` fills closed shapes that let nothing straight through and hold no
+    emitter. A cautious answer."""
+    shells = (shape for shape in shapes if shape.interior_medium() == medium)
+    open_ = any(scatters(shell, mi.BSDFFlags.Null) for shell in shells)
+    return not open_ and _closed(scene, shapes, medium)
+
+
+def _closed(scene: mi.Scene, shapes: list[Any], medium: Any) -> bool:
+    """Whether ``medium`` fills closed shapes that hold no emitter.
 
     A cautious answer: no for shapes that are not surely closed, and where boxes cannot tell an
     emitter from the inside of a shape.
@@ -245,7 +275,7 @@ def _sealed(scene: mi.Scene, shapes: list[Any], medium: Any) -> bool:
         if shape.class_name() == "Instance":
             return False
         if shape.interior_medium() == medium:
-            if scatters(shape, mi.BSDFFlags.Null) or not _encloses(shape):
+            if not _encloses(shape):
                 return False
             shells.append(shape.bbox())
         elif shape.exterior_medium() == medium:
@@ -260,6 +290,53 @@ def _sealed(scene: mi.Scene, shapes: list[Any], medium: Any) -> bool:
 
 def _infinite(emitter: mi.Emitter) -> bool:
     return bool(mi.has_flag(emitter.flags(), mi.EmitterFlags.Infinite))
+
+
+# --------------------------------------------------------------------- expected values
+
+
+def _expected(
+    scene: mi.Scene, shapes: list[Any], media: list[Any], start: Any, shell: Any, wanted: str
+) -> tuple[Expected, ...]:
+    """In which media expected values take the place of draws.
+
+    The rule for collisions pays in dark media. So does expected emission, also through grids; in
+    brighter ones rays must not look much farther than they fly, and hardly any noise is theirs.
+    """
+    # Frozen functions draw everything: nothing can be read of what they see.
+    if wanted == "off" or recording():
+        return ()
+    emitters = any(not mi.has_flag(e.flags(), mi.EmitterFlags.Delta) for e in scene.emitters())
+    found = []
+    for medium in media:
+        albedo = _largest_albedo(medium)
+        keep = _WORTH * albedo
+        dark = keep < 1 and not getattr(medium, "emits", False)
+        unlit = medium != start and shell is None and _closed(scene, shapes, medium)
+        sees = emitters and not unlit
+        if wanted == "auto" and not dark:
+            plain = getattr(medium, "density", None) is None
+            plain &= not getattr(medium, "remembers", False)
+            sees &= plain and albedo <= _BRIGHT
+        if sees or dark:
+            far = dr.inf if dark or wanted == "on" else _FAR
+            found.append(Expected(medium, sees, far, keep if dark else None))
+    return tuple(found)
+
+
+def _largest_albedo(medium: Any) -> float:
+    """The largest albedo in a medium; 1 if that is not known."""
+    known = getattr(medium, "largest_albedo", None)
+    if known is not None or recording():
+        return 1.0 if known is None else float(known)
+    parameters = mi.traverse(medium)
+    if "albedo.data" in parameters:
+        return float(np.max(np.array(dr.detach(parameters["albedo.data"]))))
+    if not medium.is_homogeneous():
+        return 1.0
+    sigma_s, _, sigma_t = medium.get_scattering_coefficients(visible())
+    sigma_s, sigma_t = np.array(dr.detach(sigma_s)), np.array(dr.detach(sigma_t))
+    return float(np.max(sigma_s / np.where(sigma_t > 0, sigma_t, 1)))
 
 
 # --------------------------------------------------------------------- glass

@@ -16,6 +16,7 @@ import mitsuba as mi
 from . import tracking
 from .adjoint import Adjoint, Record
 from .connection import BentRay, Connections, Hit, Link, Start
+from .expected import Begun, Outlook, Way, look
 from .forced import Chosen, Forced, Origin
 from .media import Media, medium_interaction, optical_depth
 from .rays import Contact
@@ -55,6 +56,8 @@ class Flight:
     """the throughput there (likewise)"""
     ahead: Any
     """how the next flight begins if this one ends at a collision (with memory and null surfaces)"""
+    begun: Begun | None
+    """what has been expected of it (with null surfaces, and expected values)"""
 
 
 @dataclass
@@ -156,6 +159,16 @@ class Arrival:
     """how the next flight would begin at a collision (with memory)"""
     blocked: Any = None
     """before it reached the depth at which it must collide"""
+    outlook: Outlook | None = None
+    """what was expected of the flight (with expected values)"""
+    weight: Any = None
+    """of what it came to, not yet in the throughput (with null surfaces, and a rule)"""
+    expected: Any = None
+    """emission behind it is to count by expectation (with expected emission)"""
+    shown: Any = None
+    """weight of that (likewise)"""
+    refused: Any = None
+    """it would have collided (with a rule)"""
 
     @property
     def start(self) -> tuple[Any, ...]:
@@ -217,6 +230,12 @@ class Events:
         return self.chromatic or self.adjoint is not None
 
     @property
+    def expects_on(self) -> bool:
+        """Flights of which something is expected may go on past null surfaces."""
+        past = self.null and self.nee.needs.null_ball is None
+        return bool(self.media and self.media.looks and past)
+
+    @property
     def media(self) -> Media | None:
         return self.nee.media
 
@@ -252,11 +271,12 @@ class Events:
                 fresh=mi.Bool(True) if resumes else None,
                 tau=mi.Float(0) if resumes else None,
                 drawn=mi.Float(0) if resumes and self.keeps else None,
-                flown=mi.Float(0) if resumes and self.keeps else None,
+                flown=mi.Float(0) if (resumes and self.keeps) or self.expects_on else None,
                 balance=mi.UnpolarizedSpectrum(1) if chromatic else None,
                 began=mi.Point3f(ray.o) if null and replayed else None,
                 weight=mi.Spectrum(1) if null and replayed else None,
                 ahead=mi.UInt32(0) if null and media.remembers else None,
+                begun=Begun.start(chromatic, media.refuses) if self.expects_on else None,
             )
         if self.bent_hits:
             glass = Glass(mi.Point3f(0), mi.Bool(False), mi.Bool(False), mi.Bool(False))
@@ -327,10 +347,11 @@ class Events:
             link, weight = self.nee.aim(vertex, sampler, connecting, in_glass, hit)
         if emission:
             emitted = emission.radiance if weight is None else emission.radiance * weight
+            shown = a.carried if a.shown is None else a.shown
             if record:
                 factor = a.carried if weight is None else a.carried * weight
                 record.emissions.append((factor, emission.emitter, a.si, emission.lit))
-            s.radiance = dr.select(emission.lit, dr.fma(a.carried, emitted, s.radiance), s.radiance)
+            s.radiance = dr.select(emission.lit, dr.fma(shown, emitted, s.radiance), s.radiance)
         if self.media and s.flight and self.media.any("emits"):
             mei = medium_interaction(s.d, a.ray, a.p)
             light = self.media.ask("emitted", s.flight.location, mei, *a.start, active=a.collided)
@@ -397,9 +418,14 @@ class Events:
         gap = dr.dot(flight.offset, s.d)
         travelled = tau / sigma_t  # from the last event, not from the ray's origin
         t_collision = travelled - gap
-        if not media.all("varies"):
+        horizon = None
+        if not (media.all("varies") or media.all("looks_far")):
             known = inside & ~media.where("varies", location) if media.any("varies") else inside
-            ray.maxt = dr.select(known, dr.minimum(t_collision, s.far), s.far)
+            limit = t_collision
+            if media.looks:
+                horizon = self._horizon(media, location, extinction) - gap
+                limit = dr.maximum(limit, horizon)
+            ray.maxt = dr.select(known, dr.minimum(limit, s.far), s.far)
         si, contact = self._intersect(ray, first, s.active)
         column = si.t + gap
         if media.walks:
@@ -419,6 +445,13 @@ class Events:
             column = dr.select(tracked, 0, column)  # what is left is no depth: it stays
         # A tie of collision and surface is a collision; what never ends sees infinity.
         collided = inside & (t_collision <= si.t) & (t_collision <= s.far)
+        outlook = drawn_collision = None
+        if media.looks:
+            drawn_collision = collided
+            way = Way(inside, origin, extinction, si, s.o, s.d, s.far, gap, travelled, horizon)
+            outlook, column = look(media, flight, way, sampler, collided, column)
+            if outlook.rule:
+                collided = collided & (outlook.rule.kept | ~outlook.here)
         p = dr.select(collided, _collision(s, flight, travelled, gap), si.p)
         surface = first, last, ray, si, contact, si.bsdf()
         begins = collided if ahead is None else dr.select(collided, ahead, 0)
@@ -426,7 +459,7 @@ class Events:
         a.inside, a.sigma_t, a.tau, a.column, a.drawn, a.tracked, a.ahead = (
             inside, sigma_t, tau, column, drawn, tracked, ahead,
         )  # fmt: skip
-        if self.keeps:
+        if self.keeps or self.expects_on:
             a.reached = column + flight.flown if self.resumes else column
         if self.chromatic:
             relative = extinction / dr.select(sigma_t > 0, sigma_t, 1)
@@ -434,9 +467,37 @@ class Events:
             densities = media.ask("densities", location, origin, collided, depths, relative, drawn)
             if media.tracks:
                 densities *= tracked_balance
+            if outlook and outlook.rule:
+                densities = outlook.rule.densities(outlook, collided, densities)
             a.balance = dr.select(inside, balanced(flight.balance, densities), flight.balance)
             a.carried = s.throughput * a.balance
+        if outlook:
+            self._weigh(media, s, flight, a, outlook, drawn_collision)
         return a
+
+    def _horizon(self, media: Media, location: Any, extinction: Any) -> Any:
+        """Length of a flight up to which emission is expected; 0 where none is."""
+        mean = dr.mean(extinction) if self.chromatic else extinction
+        return media.ask("horizon", location, mean)
+
+    def _weigh(
+        self, media: Media, s: Path, flight: Flight, a: Arrival, outlook: Outlook, collided: Any
+    ) -> None:
+        """Weigh emission that is expected, and what the flight came to."""
+        a.outlook = outlook
+        if outlook.seen is not None:
+            a.expected, a.shown = outlook.seen, s.throughput * outlook.emission
+        if outlook.rule:
+            weight = outlook.rule.weight(a.collided, outlook.survived)
+            weight = dr.select(outlook.here, weight, type(weight)(1))
+            a.carried = a.carried * weight
+            if flight.begun:
+                a.weight = weight
+            else:
+                s.throughput = s.throughput * weight
+            a.refused = collided & ~a.collided
+        if a.shown is not None:
+            a.shown = dr.select(a.expected, a.shown, a.carried)
 
     def _flown(self, s: Path, flight: Flight, a: Arrival) -> tuple[Any, ...]:
         """What the flight that ends here depends on."""
@@ -470,7 +531,8 @@ class Events:
         if not self.nee.needs.hittable_emitters:
             return None
         emitter = a.si.emitter(self.nee.scene)
-        lit = a.on_surface & (emitter != None)  # noqa: E711
+        seeing = a.on_surface if a.expected is None else a.on_surface | (s.active & a.expected)
+        lit = seeing & (emitter != None)  # noqa: E711
         if self.options.hide_emitters:
             lit &= ~a.first
         if a.blocked is not None:
@@ -587,6 +649,8 @@ class Events:
         d, on_surface = scattering.d, a.on_surface
         s.active = on_surface | (a.collided & ~a.last) if self.media else on_surface
         s.opaque |= s.active & ~scattering.passed
+        if a.refused is not None:
+            s.opaque |= a.refused & ~a.last
         s.active &= scattering.pdf > 0
         s.throughput = dr.select(s.active, s.throughput * scattering.weight, s.throughput)
         s.eta = dr.select(on_surface, s.eta * scattering.bs.eta, s.eta)
@@ -668,6 +732,8 @@ class Events:
         if self.resumes:
             fresh = flight.fresh = scattered | (beyond != flight.location)
             flight.tau = dr.maximum(a.tau - a.sigma_t * a.column, 0)
+            if a.weight is not None:
+                s.throughput = dr.select(fresh, s.throughput * a.weight, s.throughput)
         if self.null:
             flight.ahead = a.ahead
         if a.blocked is not None:
@@ -679,11 +745,15 @@ class Events:
                 done = fresh | a.tracked if media.tracks else fresh
                 balance = dr.select(done, balance, flight.balance)
             flight.balance = mi.UnpolarizedSpectrum(balance)
-        if self.resumes and self.keeps:
-            flight.drawn, flight.flown = a.drawn, dr.select(fresh, 0, a.reached)
+        if (self.resumes and self.keeps) or flight.begun:
+            if self.keeps:
+                flight.drawn = a.drawn
+            flight.flown = dr.select(fresh, 0, a.reached)
             if self.adjoint:
                 flight.began = dr.select(fresh, a.p, flight.began)
                 flight.weight = dr.select(fresh, s.throughput, flight.weight)
+            if flight.begun and a.outlook:
+                flight.begun = a.outlook.begun()
             flight.from_particle = dr.select(fresh, a.from_particle, flight.from_particle)
         else:
             flight.from_particle = a.from_particle

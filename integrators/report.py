@@ -31,8 +31,10 @@ def findings(scene: mi.Scene) -> list[Finding]:
     sensors = scene.sensors()
     start = sensors[0].get_medium() if sensors else None
     wanted = getattr(scene.integrator(), "refractive_nee", "auto")
-    needs = SceneNeeds.of(scene, start, wanted, getattr(scene.integrator(), "hide_emitters", False))
-    media = scene_media(needs.media, needs.sealed, needs.shell is not None)
+    hides = getattr(scene.integrator(), "hide_emitters", False)
+    expected = getattr(scene.integrator(), "expected_emission", "auto")
+    needs = SceneNeeds.of(scene, start, wanted, hides, expected)
+    media = scene_media(needs.media, needs.sealed, needs.shell is not None, expected=needs.expected)
     spheres = [sphere.shape for sphere in separate(scene, needs.shell)[0]]
     emitters = Counter(emitter.class_name() for emitter in scene.emitters())
     return [
@@ -68,7 +70,7 @@ def _media(needs: SceneNeeds, media: Media | None) -> list[Finding]:
         rows.append(Finding("extinction", "differs between channels", colour))
     else:
         rows.append(Finding("extinction", "the same in all channels", "skipped: spectral weights"))
-    return [*rows, *_varying(media), _memory(media), _emission(media)]
+    return [*rows, *_varying(media), _memory(media), _emission(media), *_expected(media)]
 
 
 def _varying(media: Media) -> list[Finding]:
@@ -105,6 +107,17 @@ def _memory(media: Media) -> Finding:
 def _emission(media: Media) -> Finding:
     skipped, effect = "emission at collisions", "added at every collision"
     return _some(media, "emits", "media that emit", skipped, effect)
+
+
+def _expected(media: Media) -> list[Finding]:
+    """Where expected values take the place of draws."""
+    far = [entry.far for entry in media.entries if entry.expects]
+    ahead = "" if not far or max(far) == dr.inf else f", up to {max(far):g} mean free paths ahead"
+    rule = "fewer are kept, and count more"
+    return [
+        _some(media, "expects", "emission met in media", "expected values", f"expected{ahead}"),
+        _some(media, "refuses", "collisions in dark media", "a rule for them", rule),
+    ]
 
 
 def _medium_name(entry: Entry) -> str:

@@ -40,6 +40,11 @@ class NonexpVolpath(mi.SamplingIntegrator):
     ``refractive_nee`` (``auto``, ``on`` or ``off``, default ``auto``)
         Connect what lies inside smooth glass to emitters outside, through one surface. ``auto``:
         where something inside can connect, and light comes from somewhere rather than everywhere.
+    ``expected_emission`` (``auto``, ``on`` or ``off``, default ``auto``)
+        Count emission that a ray meets in a medium with its expected value, also where the flight
+        collides before; and in dark media (albedo below 1/3) let fewer paths collide, with larger
+        weights. ``auto``: where that pays; ``on``: in all media but those with null collisions;
+        ``off``: flights are drawn as light flies. The image is the same, the noise is not.
 
     A flight through a medium is drawn from the law that its origin asks for: one law after a
     collision in this medium, the other after anything else (see :mod:`nonexp.transmittance`).
@@ -59,6 +64,7 @@ class NonexpVolpath(mi.SamplingIntegrator):
         self.rr_depth = _integer(props, "rr_depth", 5, "an integer > 0", 1)
         self.hide_emitters = props.get("hide_emitters", False)
         self.refractive_nee = choice(props, "refractive_nee", ("auto", "on", "off"))
+        self.expected_emission = choice(props, "expected_emission", ("auto", "on", "off"))
         self._warned, self._results = False, None
         self._subscenes, self._contact_scenes = Subscenes(), Subscenes()
 
@@ -86,8 +92,12 @@ class NonexpVolpath(mi.SamplingIntegrator):
         """The ends of paths that begin as rays. An ``adjoint`` collects derivatives, on the same
         paths as those without it; all of these must walk through grids (``regular``)."""
         self._warn(scene, medium)
-        needs = SceneNeeds.of(scene, medium, self.refractive_nee, self.hide_emitters)
-        media = scene_media(needs.media, needs.sealed, needs.shell is not None, regular)
+        # Replayed paths draw everything: their derivatives know no expected values.
+        expected = "off" if regular or adjoint else self.expected_emission
+        needs = SceneNeeds.of(scene, medium, self.refractive_nee, self.hide_emitters, expected)
+        media = scene_media(
+            needs.media, needs.sealed, needs.shell is not None, regular, needs.expected
+        )
         hero = draw_channel(sampler.next_1d()) if media and media.chromatic else None
         glass = refraction(needs.lobes, self._subscenes)
         ends = needs.smooth_surfaces or glass or (media and media.connects)

@@ -186,3 +186,6 @@ FURNACE = {"type": "constant"}
 """Constant environment of radiance 1."""
 
 NO_ROULETTE = {"type": "nonexp_volpath", "rr_depth": 1_000_000}
+
+DRAWN = {"type": "nonexp_volpath", "expected_emission": "off"}
+"""Flights collide or do not, as drawn, and nothing is counted by its expected value."""

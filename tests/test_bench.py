@@ -111,6 +111,17 @@ def test_bias_is_found_in_the_whole_and_in_a_tile() -> None:
     assert bias.found and abs(bias.mean) < 3 * bias.stderr
 
 
+def test_passes_without_noise() -> None:
+    """Rounding alone is no error, of which a slope or an efficiency could be told."""
+    passes = np.full((8, 6, 6, 3), 0.3, dtype=np.float32)
+    passes[::2] *= np.float32(1 + 1e-7)
+    figures = analyse(passes, np.ones(8), Reference.exact(0.3, (6, 6), ""))
+    assert figures.variance == 0 and figures.efficiency.value == math.inf
+    assert math.isnan(figures.slope.value) and not figures.bias.found
+    passes[0] *= 1.0001
+    assert analyse(passes, np.ones(8), Reference.exact(0.3, (6, 6), "")).variance > 0
+
+
 @THOROUGH
 def test_efficiency_and_its_interval() -> None:
     """1/(variance * time); the interval holds the true value in 95 % of all cases: in at least

@@ -7,7 +7,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
-from build import medium, perspective, scene
+from build import DRAWN, medium, perspective, scene
 
 from nonexp import models
 from nonexp.integrators import report
@@ -79,7 +79,7 @@ def test_boxes_of_any_law_and_colour(axis: list[float]) -> None:
         interior = medium(law, parameters, sigma_t=sigma_t, albedo=0.0)
         parts[name] = {**BOXES[name], "interior": interior}
         exact *= models.create(law, **parameters).ff(np.array(extinctions[name]))
-    built = scene(camera=along(axis), sky={"type": "constant"}, **parts)
+    built = scene(DRAWN, camera=along(axis), sky={"type": "constant"}, **parts)
     image = np.array(mi.render(built, spp=4096))[..., :3]
     error = image.reshape(-1, 3).std(axis=0) / 8
     assert np.all(error < 0.01 * exact)

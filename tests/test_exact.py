@@ -16,6 +16,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from build import (
+    DRAWN,
     FURNACE,
     MODELS,
     NO_ROULETTE,
@@ -96,7 +97,7 @@ def test_share_of_light_that_crosses_is_ff(case: Case) -> None:
     model = law(case)
     for depth in (0.15 * unit(model), 0.8 * unit(model)):
         inside = medium(*case, sigma_t=depth / 2, albedo=0.0)
-        samples = radiance(scene(sensor=beam(), ball=ball(inside), sky=FURNACE), 2**18, 3)
+        samples = radiance(scene(DRAWN, sensor=beam(), ball=ball(inside), sky=FURNACE), 2**18, 3)
         assert_share(samples, float(model.ff(depth)))
 
 
@@ -634,7 +635,7 @@ def test_a_hidden_emitter_in_the_medium_hides_nothing(case: Case) -> None:
     lamp, wall = (mi.ScalarTransform4f().translate([0, 0, z]) for z in (-1, -2))
     light = {"type": "area", "radiance": 1.0}
     built = scene(
-        {"type": "nonexp_volpath", "hide_emitters": True},
+        {**DRAWN, "hide_emitters": True},
         fog={**medium(*case, sigma_t=depth / 3, albedo=0.0), "id": "fog"},
         sensor={**orthographic(1e-4, 1.0), "near_clip": 1e-5, "medium": fog},
         lamp={"type": "rectangle", "to_world": lamp, "emitter": light, "bsdf": {"type": "diffuse"}},
@@ -672,7 +673,7 @@ def test_transmittances_of_media_in_a_row_multiply(light: str) -> None:
     expected = math.prod(float(law(case).ff(depth * unit(law(case)))) for case in RENDERED)
     parts = row_of_balls(depth, albedo=0.0)
     if light == "flights":
-        samples = radiance(scene(sensor=beam(end), sky=FURNACE, **parts), 2**19, 18)
+        samples = radiance(scene(DRAWN, sensor=beam(end), sky=FURNACE, **parts), 2**19, 18)
         assert set(np.unique(samples)) <= {0.0, 1.0}
         assert_mean(samples, expected, 0.05)
     else:
@@ -759,7 +760,7 @@ def test_flights_through_a_ball_at_any_scale(radius: float) -> None:
     """A ray starts 1e-4 or more inside the surface; its flight starts on it."""
     inside = medium("quadratic", {}, sigma_t=0.5 / radius, albedo=0.0)
     camera = orthographic(1e-4 * radius, 2 * radius)
-    built = scene(sensor=camera, ball=ball(inside, radius=radius), sky=FURNACE)
+    built = scene(DRAWN, sensor=camera, ball=ball(inside, radius=radius), sky=FURNACE)
     assert_mean(radiance(built, 2**21, 21), 0.25, 0.01)
 
 
@@ -787,6 +788,7 @@ def test_flight_through_many_invisible_surfaces_keeps_its_length() -> None:
         for i in range(10)
     }
     built = scene(
+        DRAWN,
         fog={**medium("linear", {"b": 1.0}, sigma_t=0.25 / radius, albedo=0.0), "id": "fog"},
         ball=ball(fog, radius=radius),
         sensor=orthographic(1e-3 * radius, 2 * radius),
@@ -821,7 +823,7 @@ def test_collision_and_surface_at_the_same_distance_is_a_collision() -> None:
             fog = mi.load_dict(medium("fixed", {"b": float(depth)}, albedo=0.0))
             sampler = mi.load_dict({"type": "independent"})
             sampler.seed(0, 1)
-            integrator = mi.load_dict({"type": "nonexp_volpath"})
+            integrator = mi.load_dict(DRAWN)
             light, _, _ = integrator.sample(scene(wall=wall), sampler, ray, fog)
             assert light[0][0] == seen
     finally:

@@ -11,6 +11,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from build import (
+    DRAWN,
     FURNACE,
     LAMP,
     NO_ROULETTE,
@@ -118,7 +119,7 @@ def test_a_ramp(
     """Density rises linearly: transmittance across and along it, and where flights end."""
     for share, is_across in ((across, True), (along, False)):
         dark = ramp(key, parameters, is_across, albedo=0.0, tracking=tracking)
-        light = radiance(scene(**dark, sky=FURNACE), 2**16, 3)
+        light = radiance(scene(DRAWN, **dark, sky=FURNACE), 2**16, 3)
         assert_mean(light, share, 0.06)
     # Light that falls off with x: means of x and 1, as differences of two emissions.
     bright = grid([[[0, 1]] * 2] * 2, half=2.0)

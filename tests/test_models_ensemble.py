@@ -11,7 +11,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from build import FURNACE, ball, beam, medium, scene
+from build import DRAWN, FURNACE, ball, beam, medium, scene
 from drjit.llvm.ad import PCG32, Float, Float64
 from measure import FALSE_ALARM, assert_share, radiance
 from scipy import stats
@@ -385,5 +385,5 @@ def test_light_that_crosses_a_ball(name: str) -> None:
     """Counted escapes of single rays through an absorbing ball of depth 1.6."""
     law = model(name)
     inside = medium("ensemble", CASES[name], sigma_t=0.8, albedo=0.0)
-    samples = radiance(scene(sensor=beam(), ball=ball(inside), sky=FURNACE), 2**17, 5)
+    samples = radiance(scene(DRAWN, sensor=beam(), ball=ball(inside), sky=FURNACE), 2**17, 5)
     assert_share(samples, law.ff(1.6))

@@ -189,7 +189,7 @@ def _row(case: CaseResult, row: Row) -> str:
         f"{figures.variance:.3g}",
         f"{figures.curve[0].relmse:.3g}",
         _relative(case, row),
-        _interval(figures.slope, 2),
+        _interval(figures.slope, 2) if math.isfinite(figures.slope.value) else "",
         f"{_percent(bias.mean)} ± {100 * bias.stderr:.2f}{flag}",
         f"{100 * bias.floor_high:.2f} %",
         f"{row.operations}",
@@ -201,6 +201,8 @@ def _row(case: CaseResult, row: Row) -> str:
 
 def _relative(case: CaseResult, row: Row) -> str:
     ratio = case.relative(row)
+    if row.figures and row.figures.variance == 0:
+        return "no noise"
     if ratio is None or not math.isfinite(ratio.value):
         return "failed" if row.error else ""
     flag = " (*)" if row.figures and row.figures.bias.found else ""

@@ -29,6 +29,9 @@ FALSE_ALARM = 1e-4
 TILES = 6
 """The image is tested for bias as a whole, and in TILES x TILES tiles."""
 
+ROUNDING = 1e-6
+"""Of single precision, relative to the mean of an image: passes that differ by less are equal."""
+
 LEVEL = 0.95
 """Of all intervals."""
 
@@ -99,6 +102,7 @@ class Figures:
 
     ``variance`` is the MSE of a single pass without bias; ``efficiency`` is 1/(variance * median
     time) in 1/s, ``slope`` the exponent of the MSE over the number of passes: -1 without bias.
+    Where all passes are equal variance is 0, efficiency infinite, and there is no slope (nan).
     """
 
     seconds: tuple[float, float, float]
@@ -129,12 +133,15 @@ def analyse(passes: Array, seconds: Array, reference: Reference, seed: int = 0) 
         time = float(n * quartiles[1])
         curve.append(Point(n, time, float(errors.mean()), float(low), float(high), relative))
     spread = np.diag(gram) - 2 * gram.mean(axis=1) + gram.mean()
+    slope = fit_slope(gram, noise, noise_stderr)
+    if spread.max() <= (ROUNDING * reference.mean.mean()) ** 2:
+        spread, slope = np.zeros(count), Estimate(math.nan, math.nan, math.nan)
     return Figures(
         seconds=(float(quartiles[0]), float(quartiles[1]), float(quartiles[2])),
         variance=float(spread.sum() / (count - 1)),
         curve=curve,
         bias=_bias(difference, reference),
-        slope=fit_slope(gram, noise, noise_stderr),
+        slope=slope,
         efficiency=_efficiency(spread * count / (count - 1), seconds, seed),
     )
 
@@ -230,7 +237,7 @@ def _efficiency(squares: Array, seconds: Array, seed: int) -> Estimate:
 def _bias(difference: Array, reference: Reference) -> Bias:
     grey = difference.mean(axis=3)
     count, scale = len(grey), float(reference.mean.mean())
-    rounding = 1e-6 * scale  # of single precision
+    rounding = ROUNDING * scale
     parts = [grey, *_tiles(grey)]
     noises = [reference.grey_stderr, *_tiles(reference.grey_stderr)]
     mean = np.array([part.mean() for part in parts])

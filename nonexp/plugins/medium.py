@@ -93,6 +93,11 @@ class NonexpMedium(mi.Medium):
         """Whether it emits light."""
         return self._emits
 
+    @property
+    def largest_albedo(self) -> float:
+        """The largest albedo, over space and all channels or visible wavelengths."""
+        return self._largest_albedo
+
     def extinction(self, mei: mi.MediumInteraction3f | None = None) -> Any:
         """Extinction per scene unit, where the density is 1, of a ray with direction ``-mei.wi``.
 
@@ -152,7 +157,9 @@ class NonexpMedium(mi.Medium):
         ``ValueError`` if some value is refused."""
         scale = values.check_one("scale", self.scale)
         extinction = self._check_extinction(scale)
-        values.check_range("albedo", values.values_of("albedo", self.albedo), 1.0)
+        albedo = values.values_of("albedo", self.albedo)
+        values.check_range("albedo", albedo, 1.0)
+        self._largest_albedo = float(albedo.max())
         emission = np.zeros(1)
         if self.emission:
             emission = values.values_of("emission", self.emission)
@@ -508,7 +515,7 @@ class NonexpBinaryMixture(NonexpMedium):
 
     def _check_values(self) -> tuple[bool, Any]:
         scale = values.check_one("scale", self.scale)
-        extinctions, emissions, shares = [], [np.zeros(1)], []
+        extinctions, emissions, shares, largest = [], [np.zeros(1)], [], 0.0
         for i in (0, 1):
             extinctions.append(
                 values.check_product(f"sigma_t_{i}", self.sigma_t[i], self._factor[i], scale)
@@ -516,7 +523,9 @@ class NonexpBinaryMixture(NonexpMedium):
             chord = binary.check_chord(f"chord_{i}", self.chord[i])
             shares.append(chord)
             name = f"albedo_{i}"
-            values.check_range(name, values.values_of(name, self.albedo[i]), 1.0)
+            albedo = values.values_of(name, self.albedo[i])
+            values.check_range(name, albedo, 1.0)
+            largest = max(largest, float(albedo.max()))
             if self.emission[i] is not None:
                 name = f"emission_{i}"
                 emissions.append(values.values_of(name, self.emission[i]))
@@ -524,6 +533,7 @@ class NonexpBinaryMixture(NonexpMedium):
         binary.check_phases(self.phases, self.plugin)
         if self._blend:
             self._blend_phases(extinctions, np.array(shares))
+        self._largest_albedo = largest
         chromatic = not all(map(grey, extinctions))
         return chromatic, np.concatenate([np.ravel(values) for values in emissions])
 
