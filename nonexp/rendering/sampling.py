@@ -88,51 +88,37 @@ class View:
             self._sequence.first = sample
 
 
+_FORWARDED = (
+    "sample_ray",
+    "sample_ray_differential",
+    "sample_direction",
+    "pdf_direction",
+    "eval_direction",
+    "sample_position",
+    "pdf_position",
+    "eval",
+    "sample_wavelengths",
+    "bbox",
+    "to_string",
+)
+"""All that a sensor does, in Mitsuba 3.9."""
+
+
 def _stand_in(camera: Any, sampler: mi.Sampler) -> Any:
     """A sensor with another sampler that does what ``camera`` does."""
+
+    def forwarded(name: str) -> Any:
+        return lambda self, *given, **named: getattr(camera, name)(*given, **named)
+
     base: Any = mi.Sensor  # of the variant that is set
-
-    class StandIn(base):
-        def sample_ray(self, *sample: Any) -> Any:
-            return camera.sample_ray(*sample)
-
-        def sample_ray_differential(self, *sample: Any) -> Any:
-            return camera.sample_ray_differential(*sample)
-
-        def sample_direction(self, *sample: Any) -> Any:
-            return camera.sample_direction(*sample)
-
-        def pdf_direction(self, *place: Any) -> Any:
-            return camera.pdf_direction(*place)
-
-        def eval_direction(self, *place: Any) -> Any:
-            return camera.eval_direction(*place)
-
-        def sample_position(self, *sample: Any) -> Any:
-            return camera.sample_position(*sample)
-
-        def pdf_position(self, *place: Any) -> Any:
-            return camera.pdf_position(*place)
-
-        def eval(self, *place: Any) -> Any:
-            return camera.eval(*place)
-
-        def sample_wavelengths(self, *sample: Any) -> Any:
-            return camera.sample_wavelengths(*sample)
-
-        def bbox(self) -> Any:
-            return camera.bbox()
-
-        def to_string(self) -> str:
-            return str(camera)
-
+    stand_in = type("StandIn", (base,), {name: forwarded(name) for name in _FORWARDED})
     props = mi.Properties()
     props["film"], props["sampler"] = camera.film(), sampler
     props["shutter_open"] = camera.shutter_open()
     props["shutter_close"] = camera.shutter_open() + camera.shutter_open_time()
     if camera.get_medium() is not None:
         props["medium"] = camera.get_medium()
-    sensor = StandIn(props)
+    sensor = stand_in(props)
     sensor.m_needs_sample_2 = camera.m_needs_sample_2
     sensor.m_needs_sample_3 = camera.m_needs_sample_3
     return sensor
