@@ -281,6 +281,26 @@ def test_a_render_takes_sobol_for_independent_and_leaves_others() -> None:
         nonexp.render(plain, sampler="halton")
 
 
+def test_a_batch_of_sensors_and_scalar_variants_keep_their_sampler() -> None:
+    film = {"type": "hdrfilm", "width": 8, "height": 4, "rfilter": {"type": "box"}}
+    one = {"type": "perspective", "to_world": PLACE().look_at([0, 0, 3], [0, 0, 0], [0, 1, 0])}
+    batch: dict[str, Any] = {"type": "batch", "a": one, "b": one, "film": film}
+    parts = {"i": {"type": "direct"}, "light": {"type": "constant"}, "ball": {"type": "sphere"}}
+    target = mi.load_dict({"type": "scene", **parts, "camera": batch})
+    assert nonexp.render(target, spp=8).independent == 8
+    with pytest.raises(ValueError, match="'sobol': a batch of sensors renders with"):
+        nonexp.render(target, spp=8, sampler="sobol")
+    batch["sampler"] = {"type": "nonexp_sobol"}
+    target = mi.load_dict({"type": "scene", **parts, "camera": batch})
+    assert nonexp.render(target, spp=16).independent == 4
+    assert target.sensors()[0].sampler().first == 0
+    mi.set_variant("scalar_rgb")
+    target = mi.load_dict({"type": "scene", **parts, "camera": {**one, "film": film}})
+    assert nonexp.render(target, spp=8).independent == 8
+    with pytest.raises(ValueError, match="'sobol': scalar_rgb renders with"):
+        nonexp.render(target, spp=8, sampler="sobol")
+
+
 def test_passes_of_a_replicate_are_parts_of_one_image() -> None:
     target, plan = scene(), rendering.Plan(6, 4)
     parts = list(rendering.render_passes(target, plan, 3, count=2))
