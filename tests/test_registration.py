@@ -64,7 +64,7 @@ def test_metal_is_supported_and_registered() -> None:
 @pytest.mark.parametrize("variant", UNSUPPORTED)
 def test_unsupported_variants_say_so_in_one_sentence(variant: str) -> None:
     mi.set_variant(variant)
-    for plugin in ("nonexp_volpath", "nonexp_homogeneous", "transmittance_gamma"):
+    for plugin in ("nonexp_volpath", "nonexp_homogeneous", "transmittance_gamma", "nonexp_sobol"):
         with pytest.raises(RuntimeError) as error:
             mi.load_dict({"type": plugin})
         last = str(error.value).strip().splitlines()[-1]

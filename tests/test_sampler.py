@@ -101,6 +101,7 @@ def test_flips_are_independent_and_as_likely_as_not() -> None:
 # --------------------------------------------------------------------- the sampler
 
 
+@THOROUGH
 def test_each_number_is_uniform_and_independent_of_other_pixels_and_seeds() -> None:
     """Sample 5 of 16 in 2^14 pixels: dimensions of points, and hashed ones; two seeds.
 
@@ -281,6 +282,27 @@ def test_a_render_takes_sobol_for_independent_and_leaves_others() -> None:
         nonexp.render(plain, sampler="halton")
 
 
+@THOROUGH
+def test_a_batch_of_sensors_and_scalar_variants_keep_their_sampler() -> None:
+    film = {"type": "hdrfilm", "width": 8, "height": 4, "rfilter": {"type": "box"}}
+    one = {"type": "perspective", "to_world": PLACE().look_at([0, 0, 3], [0, 0, 0], [0, 1, 0])}
+    batch: dict[str, Any] = {"type": "batch", "a": one, "b": one, "film": film}
+    parts = {"i": {"type": "direct"}, "light": {"type": "constant"}, "ball": {"type": "sphere"}}
+    target = mi.load_dict({"type": "scene", **parts, "camera": batch})
+    assert nonexp.render(target, spp=8).independent == 8
+    with pytest.raises(ValueError, match="'sobol': a batch of sensors renders with"):
+        nonexp.render(target, spp=8, sampler="sobol")
+    batch["sampler"] = {"type": "nonexp_sobol"}
+    target = mi.load_dict({"type": "scene", **parts, "camera": batch})
+    assert nonexp.render(target, spp=16).independent == 4
+    assert target.sensors()[0].sampler().first == 0
+    mi.set_variant("scalar_rgb")
+    target = mi.load_dict({"type": "scene", **parts, "camera": {**one, "film": film}})
+    assert nonexp.render(target, spp=8).independent == 8
+    with pytest.raises(ValueError, match="'sobol': scalar_rgb renders with"):
+        nonexp.render(target, spp=8, sampler="sobol")
+
+
 def test_passes_of_a_replicate_are_parts_of_one_image() -> None:
     target, plan = scene(), rendering.Plan(6, 4)
     parts = list(rendering.render_passes(target, plan, 3, count=2))
@@ -294,6 +316,7 @@ def test_passes_of_a_replicate_are_parts_of_one_image() -> None:
     np.testing.assert_array_equal(later, by_default[4:])
 
 
+@THOROUGH
 def test_replicates_know_their_noise() -> None:
     """Against NumPy where all are equal; where they are not, the mean square is right."""
     images = np.random.default_rng(1).normal(2, 1, (4000, 11, 3, 1, 1))
@@ -315,6 +338,7 @@ def test_replicates_know_their_noise() -> None:
     assert np.isnan(Replicates(4).plus(images[0][0]).stderr).all()
 
 
+@THOROUGH
 def test_a_checkpoint_keeps_replicates_and_sampler(tmp_path: Path) -> None:
     path, target = tmp_path / "c", scene()
     first = nonexp.render(target, spp=64, pass_spp=8, checkpoint=path)
@@ -392,6 +416,7 @@ def fog(sampler: str | None, size: tuple[int, int] = (6, 5), inside: bool = Fals
     )
 
 
+@THOROUGH
 def test_a_camera_in_a_medium_stays_there() -> None:
     one = nonexp.render(fog(None, inside=True), spp=8, sampler="independent")
     other = nonexp.render(fog("multijitter", inside=True), spp=8, sampler="independent")
@@ -465,6 +490,7 @@ FILE = """<scene version="3.0.0">
 </scene>"""
 
 
+@THOROUGH
 def test_the_command_says_which_sampler(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -205,9 +205,8 @@ def render_passes(
     colours = film.base_channels_count()
     of_xyz = _xyz_to_rgb() if insides.is_xyz(film) else None
     for number in itertools.count(start) if plan.passes is None else range(start, plan.passes):
-        sequence = number if count is None else number % count
-        view.begin_at(0 if count is None else number // count * plan.pass_spp)
-        with dr.suspend_grad():
+        turn, sequence = (0, number) if count is None else divmod(number, count)
+        with dr.suspend_grad(), view.beginning_at(turn * plan.pass_spp):
             image = integrator.render(
                 scene, sensor=view.sensor, seed=pass_seed(seed, sequence), spp=plan.pass_spp
             )

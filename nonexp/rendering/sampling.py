@@ -6,6 +6,8 @@ the passes of one replicate continue its sequence. The spread of the replicates 
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
 from typing import Any
 
 import mitsuba as mi
@@ -43,15 +45,20 @@ def sampler_of(camera: Any, wanted: str | None = None) -> str:
     """Plugin name of the sampler that a render with this sensor takes.
 
     By default ``nonexp_sobol`` in the place of ``independent``, which is what a sensor has if none
-    is named, and any other as it is. Raises ``ValueError`` unless ``wanted`` is one of
-    :data:`SAMPLERS`.
+    is named, and any other as it is. A ``batch`` of sensors keeps its own. Raises ``ValueError``
+    for another one there, and unless ``wanted`` is one of :data:`SAMPLERS`.
     """
-    if wanted is not None:
-        if wanted not in SAMPLERS:
-            raise ValueError(f"sampler is {wanted!r}: it must be {' or '.join(SAMPLERS)}")
-        return SAMPLERS[wanted]
     own = own_sampler(camera)
-    return SOBOL if own == "independent" and machine.supported(mi.variant()) else own
+    # A stand-in would be among the sensors that a batch calls.
+    fixed = camera.class_name() == "BatchSensor" or not machine.supported(mi.variant())
+    if wanted is None:
+        return SOBOL if own == "independent" and not fixed else own
+    if wanted not in SAMPLERS:
+        raise ValueError(f"sampler is {wanted!r}: it must be {' or '.join(SAMPLERS)}")
+    if fixed and SAMPLERS[wanted] != own:
+        what = "a batch of sensors" if machine.supported(mi.variant()) else mi.variant()
+        raise ValueError(f"sampler is {wanted!r}: {what} renders with the scene's own, {own}")
+    return SAMPLERS[wanted]
 
 
 def own_sampler(camera: Any) -> str:
@@ -70,69 +77,57 @@ class View:
     """
 
     def __init__(self, camera: Any, sampler: str, pass_spp: int) -> None:
-        self.sensor, self._sequence = camera, None
-        own = camera.sampler()
-        if sampler == SOBOL and own_sampler(camera) == SOBOL:
-            made = own.fork()
-        elif sampler != own_sampler(camera):
-            seed = insides.base_seed(own)
-            made = mi.load_dict({"type": sampler, "sample_count": pass_spp, "seed": seed})
-        else:
-            return
-        self.sensor = _stand_in(camera, made)
-        self._sequence = made if sampler == SOBOL else None
+        self.sensor, used = camera, camera.sampler()
+        if sampler != own_sampler(camera):
+            seed = insides.base_seed(used)
+            used = mi.load_dict({"type": sampler, "sample_count": pass_spp, "seed": seed})
+            self.sensor = _stand_in(camera, used)
+        self._sequence = used if sampler == SOBOL else None
 
-    def begin_at(self, sample: int) -> None:
-        """Let the next pass begin with this sample of its sequence."""
-        if self._sequence is not None:
-            self._sequence.first = sample
+    @contextlib.contextmanager
+    def beginning_at(self, sample: int) -> Iterator[None]:
+        """What is rendered within begins with this sample of its sequence."""
+        if self._sequence is None:
+            yield
+            return
+        self._sequence.first = sample
+        try:
+            yield
+        finally:
+            self._sequence.first = 0
+
+
+_FORWARDED = (
+    "sample_ray",
+    "sample_ray_differential",
+    "sample_direction",
+    "pdf_direction",
+    "eval_direction",
+    "sample_position",
+    "pdf_position",
+    "eval",
+    "sample_wavelengths",
+    "bbox",
+    "to_string",
+)
+"""All that a sensor does, in Mitsuba 3.9."""
 
 
 def _stand_in(camera: Any, sampler: mi.Sampler) -> Any:
     """A sensor with another sampler that does what ``camera`` does."""
+
+    def forwarded(name: str) -> Any:
+        return lambda self, *given, **named: getattr(camera, name)(*given, **named)
+
     base: Any = mi.Sensor  # of the variant that is set
-
-    class StandIn(base):
-        def sample_ray(self, *sample: Any) -> Any:
-            return camera.sample_ray(*sample)
-
-        def sample_ray_differential(self, *sample: Any) -> Any:
-            return camera.sample_ray_differential(*sample)
-
-        def sample_direction(self, *sample: Any) -> Any:
-            return camera.sample_direction(*sample)
-
-        def pdf_direction(self, *place: Any) -> Any:
-            return camera.pdf_direction(*place)
-
-        def eval_direction(self, *place: Any) -> Any:
-            return camera.eval_direction(*place)
-
-        def sample_position(self, *sample: Any) -> Any:
-            return camera.sample_position(*sample)
-
-        def pdf_position(self, *place: Any) -> Any:
-            return camera.pdf_position(*place)
-
-        def eval(self, *place: Any) -> Any:
-            return camera.eval(*place)
-
-        def sample_wavelengths(self, *sample: Any) -> Any:
-            return camera.sample_wavelengths(*sample)
-
-        def bbox(self) -> Any:
-            return camera.bbox()
-
-        def to_string(self) -> str:
-            return str(camera)
-
+    stand_in = type("StandIn", (base,), {name: forwarded(name) for name in _FORWARDED})
     props = mi.Properties()
     props["film"], props["sampler"] = camera.film(), sampler
     props["shutter_open"] = camera.shutter_open()
     props["shutter_close"] = camera.shutter_open() + camera.shutter_open_time()
     if camera.get_medium() is not None:
         props["medium"] = camera.get_medium()
-    sensor = StandIn(props)
+    sensor = stand_in(props)
     sensor.m_needs_sample_2 = camera.m_needs_sample_2
     sensor.m_needs_sample_3 = camera.m_needs_sample_3
     return sensor
