@@ -7,6 +7,7 @@ every parameter and every law, for two renders each.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -16,7 +17,16 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-__all__ = ["Derivative", "differences", "jacobian"]
+__all__ = [
+    "Derivative",
+    "changed",
+    "differences",
+    "jacobian",
+    "numbers",
+    "replays",
+    "restored",
+    "tangent",
+]
 
 
 @dataclass(frozen=True)
@@ -24,7 +34,7 @@ class Derivative:
     """The derivative of an image by one number among a scene's parameters."""
 
     name: str
-    """the parameter as ``mi.traverse`` calls it"""
+    """the parameter as ``mi.traverse`` calls it, perhaps with the number of an item"""
     value: Any
     """height x width x channels"""
     stderr: Any
@@ -42,21 +52,15 @@ def jacobian(
 ) -> list[Derivative]:
     """Derivatives of the image by scene parameters, by path replay in forward mode.
 
-    A parameter with several numbers, such as a colour, counts as one: all of them move together.
-    The mean and the standard error are over ``runs`` renders of ``spp`` samples per pixel each
-    (0: the scene's own). Raises ``KeyError`` for names that the scene does not have, and
-    ``ValueError`` for parameters by which there is no derivative.
+    A parameter with several numbers, such as a colour, counts as one: all of them move together;
+    ``name[2]`` is the third of them alone. The mean and the standard error are over ``runs``
+    renders of ``spp`` samples per pixel each (0: the scene's own). Raises ``KeyError`` for names
+    that the scene does not have, and ``ValueError`` for parameters by which there is no derivative.
     """
     parameters = mi.traverse(scene)
 
-    def once(name: str, number: int) -> Any:
-        with _restored(parameters, name) as moved:
-            dr.enable_grad(moved)
-            parameters[name] = moved
-            parameters.update()
-            dr.set_grad(moved, dr.ones(type(moved), dr.shape(moved)))
-            image = mi.render(scene, parameters, sensor=sensor, spp=spp, seed=number)
-            return np.array(dr.forward_to(image))
+    def once(key: str, item: int | None, number: int) -> Any:
+        return tangent(scene, parameters, key, item, sensor=sensor, spp=spp, seed=number)
 
     return [_over(name, parameters, runs, seed, once) for name in _names(names)]
 
@@ -79,12 +83,12 @@ def differences(
     """
     parameters = mi.traverse(scene)
 
-    def once(name: str, number: int) -> Any:
-        with _restored(parameters, name) as base:
+    def once(key: str, item: int | None, number: int) -> Any:
+        with restored(parameters, key) as base:
             size = step * (float(np.abs(np.array(base)).max()) or 1.0)
             images = []
             for sign in (1, -1):
-                parameters[name] = base + sign * size
+                parameters[key] = base + sign * size * _direction(base, item)
                 parameters.update()
                 images.append(np.array(mi.render(scene, sensor=sensor, spp=spp, seed=number)))
             return (images[0] - images[1]) / (2 * size)
@@ -92,16 +96,66 @@ def differences(
     return [_over(name, parameters, runs, seed, once) for name in _names(names)]
 
 
+def tangent(
+    scene: mi.Scene,
+    parameters: Any,
+    key: str,
+    item: int | None,
+    *,
+    sensor: int,
+    spp: int,
+    seed: int,
+) -> Any:
+    """Derivative of one render by a parameter, or by one of its numbers."""
+    with restored(parameters, key) as moved:
+        dr.enable_grad(moved)
+        parameters[key] = moved
+        parameters.update()
+        dr.set_grad(moved, _direction(moved, item))
+        image = mi.render(scene, parameters, sensor=sensor, spp=spp, seed=seed)
+        return np.array(dr.forward_to(image))
+
+
+def replays(scene: mi.Scene) -> bool:
+    """Whether the scene's integrator replays paths, so that its derivatives are unbiased."""
+    integrator = scene.integrator()
+    stock: Any = mi.ad.integrators.common.RBIntegrator
+    return type(integrator).__name__ == "NonexpVolpath" or isinstance(integrator, stock)
+
+
 @contextmanager
-def _restored(parameters: Any, name: str) -> Iterator[Any]:
+def restored(parameters: Any, key: str) -> Iterator[Any]:
     """A parameter without derivatives, to be changed; afterwards it is again what it was."""
     # A copy: what mi.traverse gives changes with the scene.
-    kept = type(parameters[name])(parameters[name])
+    kept = type(parameters[key])(parameters[key])
     try:
         yield type(kept)(dr.detach(kept))
     finally:
-        parameters[name] = kept
+        parameters[key] = kept
         parameters.update()
+
+
+def numbers(value: Any) -> Any:
+    """The numbers that a parameter consists of, as a vector."""
+    return np.array(dr.detach(value), dtype=np.float64).ravel()
+
+
+def changed(value: Any, to: Sequence[float]) -> Any:
+    """A parameter with other numbers."""
+    kind = type(value)
+    if dr.is_tensor_v(value):
+        return kind(np.reshape(np.asarray(to, dtype=np.float32), value.shape))
+    if dr.depth_v(value) > 1:
+        return kind(*map(float, to))
+    return kind([float(number) for number in to])
+
+
+def _direction(value: Any, item: int | None) -> Any:
+    if item is None:
+        return dr.ones(type(value), dr.shape(value))
+    unit = np.zeros(len(numbers(value)))
+    unit[item] = 1
+    return changed(value, list(unit))
 
 
 def _names(names: str | Sequence[str]) -> Sequence[str]:
@@ -110,11 +164,14 @@ def _names(names: str | Sequence[str]) -> Sequence[str]:
 
 def _over(name: str, parameters: Any, runs: int, seed: int, once: Any) -> Derivative:
     """Mean and standard error over independent runs."""
-    if name not in parameters:
+    key, item = name, None
+    if name not in parameters and (match := re.fullmatch(r"(.+)\[(\d+)\]", name)):
+        key, item = match[1], int(match[2])
+    if key not in parameters or (item is not None and item >= len(numbers(parameters[key]))):
         raise KeyError(f"the scene has no parameter {name!r}")
     if runs < 1:
         raise ValueError(f"runs is {runs}: it must be at least 1")
-    found = np.array([once(name, seed + number) for number in range(runs)])
+    found = np.array([once(key, item, seed + number) for number in range(runs)])
     stderr = np.full_like(found[0], np.nan)
     if runs > 1:
         stderr = found.std(axis=0, ddof=1) / np.sqrt(runs)
