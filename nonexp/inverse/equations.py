@@ -30,8 +30,12 @@ __all__ = ["Equations", "Fitted", "Images", "Jacobians"]
 Jacobians = list[tuple[Array, Array]]
 """For each view two halves of the derivatives: unknowns x height x width x channels."""
 
-_STEP = 0.02
-"""How far a number moves for a difference: as a part of itself, or of its range."""
+_STEP = 0.1
+"""How far a number moves for a difference, as a part of itself or of its range. Long, for little
+noise: that derivatives are not quite right does not move the place where images agree."""
+
+_MORE = 4
+"""Samples of a difference, which is noisier, by those of a replay."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,7 +196,7 @@ class Images:
                 if way is not None or "no derivative by" not in str(error):
                     raise
         self.ways[one.label] = "differences"
-        return view.mean(self._difference(view, one, at), spp, seed)
+        return view.mean(self._difference(view, one, at), _MORE * spp, seed)
 
     def _render(self, view: View) -> Callable[[int, int], Any]:
         def once(spp: int, seed: int) -> Any:

@@ -155,10 +155,11 @@ class _Task:
         start = np.array([one.coordinate(one.start) for one in found])
         limits = [one.limits for one in found]
         if self.exposed:
+            start = np.concatenate([start, np.zeros(len(self.views))])
             factors = images.exposures(start, _FIRST_SPP, self.seed)
             if not np.all(factors > 0):
                 raise ValueError("the images at the start are black: no exposure fits them")
-            start = np.concatenate([start, np.log(factors)])
+            start[count:] = np.log(factors)
             limits += [(u - _REACH, u + _REACH) for u in start[count:]]
 
         def shown(step: Step) -> None:
@@ -202,7 +203,7 @@ class _Task:
             errors=errors,
             covariance=solution.covariance * np.outer(slopes, slopes),
             start={one.label: one.value(u) for one, u in zip(numbers, first, strict=True)},
-            exposures=tuple(map(float, fitted.scales)),
+            exposures=tuple(map(float, np.exp(at[len(found) :]))) or (1.0,) * len(self.views),
             loss=fitted.loss - noise,
             loss_error=fitted.error,
             steps=tuple(solution.steps),

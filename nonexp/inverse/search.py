@@ -96,23 +96,30 @@ def search(
     quadruples where steps are noise, up to a quarter of ``spp``. Derivatives take a quarter of
     that again, because their noise counts only as far as images do not fit. A step that makes the
     loss greater, by more than its noise, is taken back and damped. Where steps are noise in the
-    end there is one more, with the last derivatives and images of ``spp`` samples.
+    end there is one more, with the last derivatives and images of ``spp`` samples. Before that,
+    derivatives that do not determine all unknowns are rendered again, with up to ``spp`` samples.
     """
     low, high = np.array(limits, dtype=float).reshape(-1, 2).T
-    end = max(spp // 4, min(spp, first_spp))
+    first_spp = min(first_spp, spp)
+    end = max(spp // 4, first_spp)
 
-    def derivatives(at: Array, fitted: Fitted, spp: int) -> Jacobians:
-        return images.jacobians(at, fitted, max(spp // 4, min(spp, first_spp)), seed)
+    def derivatives(at: Array, fitted: Fitted, factor: int = 1) -> Jacobians:
+        count = min(factor * max(now // 4, first_spp), spp)
+        return images.jacobians(at, fitted, count, seed)
 
-    at, now, damping, refused = start, min(first_spp, end), 0.01, 0
+    at, now, damping, refused, factor = start, first_spp, 0.01, 0, 1
     fitted = images.at(at, now, seed)
-    jacobians = derivatives(at, fitted, now)
+    jacobians = derivatives(at, fitted)
     steps = [_told(Step(at, now, fitted.loss, fitted.error), told)]
     while True:
         found = images.equations(jacobians, fitted)
         inverse = _inverse(found, ~_held(at, low, high, found.gradient))
         full = inverse.step(found.gradient, 0.0)
         calm = _is_noise(full, inverse.covariance(found.noise)) or np.all(np.abs(full) < _SMALL)
+        if calm and now >= end and inverse.blind and factor * max(now // 4, first_spp) < spp:
+            factor *= 4
+            jacobians = derivatives(at, fitted, factor)
+            continue
         if (calm and now >= end) or len(steps) + refused > most:
             break
         step = _shortened(inverse.step(found.gradient, damping))
@@ -123,7 +130,7 @@ def search(
             continue
         at, now, fitted = tried, tried_spp, there
         damping = damping / 10 if damping > 1e-4 else 0.0
-        jacobians = derivatives(at, fitted, now)
+        jacobians = derivatives(at, fitted)
         steps.append(_told(Step(at, now, fitted.loss, fitted.error), told))
 
     near = np.clip(at + _shortened(full), low, high)
