@@ -8,7 +8,8 @@
 ``views``          the images, and the sensors that see them
 ``equations``      normal equations without the bias of noise
 ``search``         Gauss-Newton steps on them
-``report``         what a fit found
+``result``         what a fit of one law found
+``report``         the fits of several laws
 ``plot``           figures of it
 ``descent``        :func:`descend`: grids from images, by gradient descent
 =================  ===============================================================================
@@ -17,7 +18,8 @@
 from .derivatives import Derivative, differences, jacobian
 from .descent import Descent, descend
 from .estimate import fit
-from .report import ImageFit, Report
+from .report import Report
+from .result import ImageFit
 
 __all__ = [
     "Derivative",

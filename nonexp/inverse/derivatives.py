@@ -112,8 +112,11 @@ def tangent(
         parameters[key] = moved
         parameters.update()
         dr.set_grad(moved, _direction(moved, item))
-        image = mi.render(scene, parameters, sensor=sensor, spp=spp, seed=seed)
-        return np.array(dr.forward_to(image))
+        # As mi.render does, with the seed that it chooses, but without the image.
+        number, _ = mi.sample_tea_32(seed, 1)
+        camera = scene.sensors()[sensor]
+        integrator: Any = scene.integrator()
+        return np.array(integrator.render_forward(scene, parameters, camera, number, spp))
 
 
 def replays(scene: mi.Scene) -> bool:

@@ -110,7 +110,7 @@ def descend(
         for key in starts:
             stack.enter_context(restored(traversed, key))
         update = stack.enter_context(row("descend")) if progress else None
-        optimizer = mi.ad.Adam(lr=1.0, uniform=True)
+        optimizer = mi.ad.Adam(lr=1.0)
         for key, value in starts.items():
             optimizer[key] = value
         for number in range(iterations):

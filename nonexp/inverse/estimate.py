@@ -17,7 +17,8 @@ from ..transmittance.kinds import parameters_of
 from .derivatives import restored
 from .equations import Images
 from .laws import Laws, Place, candidates
-from .report import ImageFit, Report, compared
+from .report import Report, compared
+from .result import ImageFit
 from .search import Solution, Step, search
 from .unknowns import Bounds, Unknown, listed, starts_of, values_of, write
 from .views import Array, View, views

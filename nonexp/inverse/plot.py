@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..fitting.plot import STYLE, require
 from ..images.png import tone_map
+from .result import ImageFit
 from .views import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-    from .report import Report
 
 __all__ = ["plot_losses", "plot_report"]
 
@@ -23,16 +23,16 @@ _MOST = 4
 """Laws that are drawn: the best ones."""
 
 
-def plot_report(report: Report, view: int = 0) -> Figure:
-    """The image of a view; for each law the fitted image and the difference; the searches.
+def plot_report(laws: Sequence[ImageFit], target: Array, view: int = 0) -> Figure:
+    """The image of a view, what each law makes of it, the best one first, and the searches.
 
-    Raises ``ImportError`` where matplotlib is missing, ``IndexError`` for a view that there is not.
+    Raises ``ImportError`` where matplotlib is missing.
     """
     require()
     import matplotlib
     from matplotlib.figure import Figure
 
-    target, fits = report.targets[view], report.fits[:_MOST]
+    fits = laws[:_MOST]
     differences = [one.images[view] - target for one in fits]
     scale = 3 * min(float(np.sqrt(np.mean(d**2))) for d in differences) or 1.0
     parts: Any
@@ -50,8 +50,8 @@ def plot_report(report: Report, view: int = 0) -> Figure:
         axes[1, 1].set_ylabel("fitted - image")
         upper.colorbar(shown, ax=list(axes[1]), location="left", shrink=0.8)
         left, right = lower.subplots(1, 2)
-        _losses(left, report)
-        _values(right, report)
+        _losses(left, fits)
+        _values(right, fits[0])
     return figure
 
 
@@ -75,8 +75,8 @@ def _picture(axes: Axes, image: Array, title: str) -> None:
     axes.set(title=title, xticks=[], yticks=[])
 
 
-def _losses(axes: Axes, report: Report) -> None:
-    for i, one in enumerate(report.fits[:_MOST]):
+def _losses(axes: Axes, fits: Sequence[ImageFit]) -> None:
+    for i, one in enumerate(fits):
         steps = range(len(one.steps))
         loss = np.array([step.loss for step in one.steps])
         error = np.array([step.error for step in one.steps])
@@ -86,9 +86,8 @@ def _losses(axes: Axes, report: Report) -> None:
     axes.legend()
 
 
-def _values(axes: Axes, report: Report) -> None:
+def _values(axes: Axes, best: ImageFit) -> None:
     """The numbers of the best law on their way, as parts of their last values."""
-    best = report.best
     for i, one in enumerate(best.unknowns):
         path = np.array([one.value(float(step.at[i])) for step in best.steps])
         label = f"{one.label} = {best.values[one.label]:.4g}"
