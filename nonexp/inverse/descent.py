@@ -75,9 +75,9 @@ def descend(
 
     As :func:`fit`, but by first derivatives alone, so that the cost does not depend on how many
     numbers a parameter has, and without standard errors. ``mi.ad.Adam`` steps down the gradient of
-    the loss, with one step size for all numbers of a parameter; then these are clamped to their
-    bounds. ``rate`` is the length of a step, as a part of the parameter's mean at the start; it
-    falls to a tenth of that over the ``iterations``. Each renders all views with ``spp`` samples
+    the loss; then the numbers are clamped to their bounds. ``rate`` is about how far they move in
+    one step, as a part of the parameter's mean at the start; it falls to a tenth of that over the
+    ``iterations``. Each renders all views with ``spp`` samples
     per pixel, once for the images and once for the gradient, whose noise is independent. Where to
     start, in a mapping, is a number or an array. Afterwards the scene is what it was.
 

@@ -6,7 +6,7 @@ import contextlib
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
@@ -45,7 +45,7 @@ def fit(
     medium: str | None = None,
     fixed: Mapping[str, Any] | None = None,
     bounds: Mapping[str, Bounds] | None = None,
-    exposure: Literal["fixed", "free"] = "fixed",
+    exposure: str = "fixed",
     sensors: Sequence[Any] | None = None,
     weights: Any = None,
     spp: int = 1024,
