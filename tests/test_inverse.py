@@ -71,7 +71,7 @@ def test_one_image_tells_the_law_and_its_parameters(effort: int) -> None:
     photo = nonexp.render(pictured(gamma(), size), spp=1024 * effort, pass_spp=64, seed=9)
     made = pictured(medium(sigma_t=1.0, albedo=0.5), size)
     before = state(made)
-    laws = {"gamma": {"alpha": start}, "exponential": {}}
+    laws = {"exponential": {}, "gamma": {"alpha": start}}
     first = {"sigma_t": 2.0 if effort == 1 else 1.0}
     report = inverse.fit(made, first, photo, laws=laws, spp=256 * effort)
     assert state(made) == before, "the scene is not what it was"

@@ -119,11 +119,13 @@ def tangent(
         return np.array(integrator.render_forward(scene, parameters, camera, number, spp))
 
 
-def replays(scene: mi.Scene) -> bool:
-    """Whether the scene's integrator replays paths, so that its derivatives are unbiased."""
+def replays(scene: mi.Scene, backward: bool = False) -> bool:
+    """Whether the scene's integrator replays paths, so that its derivatives are unbiased. Some of
+    Mitsuba's do so in ``backward`` mode only."""
     integrator = scene.integrator()
     stock: Any = mi.ad.integrators.common.RBIntegrator
-    return type(integrator).__name__ == "NonexpVolpath" or isinstance(integrator, stock)
+    own = type(integrator).__name__ == "NonexpVolpath"
+    return own or (backward and isinstance(integrator, stock))
 
 
 @contextmanager

@@ -88,7 +88,7 @@ def descend(
     iterations, spp = whole("iterations", iterations, 1), whole("spp", spp, 2)
     if not 0 < rate < math.inf:
         raise ValueError(f"rate is {rate}: it must be a finite number > 0")
-    if not replays(scene):
+    if not replays(scene, backward=True):
         raise ValueError(
             f"the integrator is {type(scene.integrator()).__name__}: descend needs nonexp_volpath, "
             "or one of Mitsuba's that replay paths"

@@ -295,10 +295,12 @@ def _check_apart(own: Sequence[Unknown], place: Place) -> None:
 
 
 def _check_bounds(bounds: Mapping[str, Any], wanted: Mapping[str, Any], *laws: Any) -> None:
-    known = {*wanted, *(name for law in laws for name in parameters_of(law))}
+    known = sorted({*wanted, *(name for law in laws for name in parameters_of(law))})
     for name, pair in bounds.items():
         if name not in known and "." not in name:
-            raise ValueError(f"bounds has {name!r}, which is not fitted: it must be one of {known}")
+            raise ValueError(
+                f"bounds has {name!r}, which is not fitted: it must be one of {', '.join(known)}"
+            )
         if len(pair) != 2:
             raise ValueError(f"the bounds of {name} are {pair}: it must be two numbers")
 
