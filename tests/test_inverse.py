@@ -408,6 +408,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "scene.xml").write_text(XML)
     exr.write_exr(tmp_path / "photo.exr", {"": np.full((6, 8, 3), 0.6)}, {})
     exr.write_exr(tmp_path / "small.exr", {"": np.full((4, 4, 3), 0.6)}, {})
+    (tmp_path / "other.json").write_text("{}")
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -440,6 +441,7 @@ COMMANDS: dict[str, tuple[list[str], str]] = {
     "start": (["-p", "sigma_t=x"], "-p is 'sigma_t=x': it must be NAME or NAME=START"),
     "image": (["-p", "sigma_t", "--image", "gone.exr"], "image 'gone.exr' does not exist"),
     "sizes": (["-p", "sigma_t", "--image", "small.exr"], "differ in size: photo.exr is 8x6, small"),
+    "results": (["-p", "sigma_t", "-o", "other.png"], "'other.json' exists and is no result"),
     "output": (["-p", "sigma_t", "-o", "fit.exr"], "output is 'fit.exr': it must end in .png"),
     "model": (["-p", "sigma_t", "--model", "gama"], "model is 'gama': it must be one of"),
     "parameter": (

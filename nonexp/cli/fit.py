@@ -83,8 +83,8 @@ def fit(
 
     With --image DATA is a scene, whose parameters are fitted to EXR images. Each --model takes the
     place of the medium's law, and all of its parameters are fitted; without, the law stays. Laws
-    are compared by their loss, the mean squared difference without noise. Writes OUT.png and all
-    numbers to OUT.json beside it.
+    are compared by their loss, the mean squared difference without noise. With -o all numbers go to
+    OUT.json, beside the picture OUT.png.
 
     Args:
         data: table: distance, ff [, sigma]; with --image a scene file
@@ -101,7 +101,7 @@ def fit(
         medium: medium whose law is exchanged, if there are several
         sensor: number or id of an image's sensor (default: the scene's, in order)
         free_exposure: fit a factor on the brightness of each image
-        spp: samples per pixel in the end, twice (default: 256)
+        spp: samples per pixel in the end, twice (default: 1024)
         steps: most steps of the search (default: 20)
         seed: default: 0
     """

@@ -74,7 +74,7 @@ def fit_images(
         if output is not None:
             plotting.require()
             plotting.check_path(output)
-            check_writable(output.with_suffix(".json"))
+            _check_results(output.with_suffix(".json"))
         pictures = [read(path) for path in search.images]
         sizes = {picture.mean.shape[1::-1] for picture in pictures}
         if len(sizes) > 1:
@@ -107,6 +107,20 @@ def fit_images(
             text = json.dumps({**_asked(search), **report.to_dict()}, indent=2, allow_nan=False)
             write_text(numbers, text + "\n")
             print(f"\n{output}\n{numbers}")
+
+
+def _check_results(path: Path) -> None:
+    """Raise ``ValueError`` or ``OSError`` unless results can be written there, in place of nothing
+    but older ones."""
+    check_writable(path)
+    if not path.exists():
+        return
+    try:
+        older = "fits" in json.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, TypeError):
+        older = False
+    if not older:
+        raise ValueError(f"{str(path)!r} exists and is no result of a fit: give another --output")
 
 
 def _laws(search: Search) -> dict[str, dict[str, Any]] | None:
