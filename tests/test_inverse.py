@@ -109,8 +109,8 @@ def _check_shown(report: inverse.Report) -> None:
 
 @THOROUGH
 def test_errors_are_what_estimates_scatter_by(effort: int) -> None:
-    """Fits to images with noise of their own: errors off by a factor 1.6 would be found."""
-    made, count = pictured(gamma()), 24 * effort
+    """Fits to images with noise of their own: errors off by a factor 1.7 would be found."""
+    made, count = pictured(gamma()), 20 * effort
     true = np.array([3.0, 0.5])
     squares, found = 0.0, []
     for seed in range(count):
@@ -167,16 +167,14 @@ def test_several_views_colours_exposures_and_masks() -> None:
     mask[:4] = 0
     made = pictured(gamma(albedo={"type": "rgb", "value": [0.5, 0.5, 0.5]}), **more)
     weights = [mask, np.ones((16, 16))]
-    report = inverse.fit(
-        made, ["sigma_t", "albedo"], photos, exposure="free", weights=weights, spp=128
-    )
+    report = inverse.fit(made, "albedo", photos, exposure="free", weights=weights, spp=128)
     one = report.best
-    names = ["sigma_t", "albedo[0]", "albedo[1]", "albedo[2]", "exposure[0]", "exposure[1]"]
+    names = ["albedo[0]", "albedo[1]", "albedo[2]", "exposure[0]", "exposure[1]"]
     assert list(one.values) == names
-    off = np.array(list(one.values.values())) - [3.0, 0.9, 0.5, 0.2, 1.0, 2.0]
+    off = np.array(list(one.values.values())) - [0.9, 0.5, 0.2, 1.0, 2.0]
     errors = np.array(list(one.errors.values()))
     assert np.all(np.abs(off) < 4.5 * errors), report
-    assert np.all(errors < [1, 0.1, 0.1, 0.1, 0.05, 0.1]), report
+    assert np.all(errors < [0.1, 0.1, 0.1, 0.05, 0.1]), report
     assert one.exposures == pytest.approx(tuple(one.values.values())[-2:])
 
 
@@ -209,7 +207,7 @@ def test_a_grid_is_found_by_gradient_descent() -> None:
     photo = photograph(smoke(full), 512)
     made = smoke(np.full_like(full, 0.2))
     before = state(made)
-    found = inverse.descend(made, "sigma_t.data", photo, iterations=25, rate=0.5, spp=32)
+    found = inverse.descend(made, "sigma_t.data", photo, iterations=20, rate=0.5, spp=32)
     assert state(made) == before
     (values,) = found.values.values()
     assert values.shape == (4, 4, 4, 1) and values.min() >= 0
