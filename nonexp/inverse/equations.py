@@ -102,7 +102,7 @@ class Images:
             halves.append((first, second))
             one, two = scale * first - view.image, scale * second - view.image
             loss += float(np.sum(view.weight * one * two))
-            squares += float(np.sum(view.sums(view.weight * (one**2 - two**2)) ** 2)) / 4
+            squares += float(view.spread(view.weight * (one**2 - two**2)[None])[0, 0]) / 4
         return Fitted(
             tuple(halves), scales, loss / self._weights, float(np.sqrt(squares)) / self._weights
         )
@@ -144,17 +144,17 @@ class Images:
             j1, j2 = (root * half for half in jacobians[number])
             product = np.einsum("ihwc,jhwc->ij", j1, j2)
             sums["normal"] += (product + product.T) / 2
-            first, second = view.sums(j1 * r2), view.sums(j2 * r1)
-            sums["gradient"] += (first + second).sum(axis=1) / 2
-            sums["spread"] += (first + second) @ (first + second).T / 4
-            sums["noise"] += (first - second) @ (first - second).T / 4
+            first, second = j1 * r2, j2 * r1
+            sums["gradient"] += (first + second).sum(axis=(1, 2, 3)) / 2
+            sums["spread"] += view.spread(first + second) / 4
+            sums["noise"] += view.spread(first - second) / 4
             kept.append((view, j1, j2))
 
         def uncertainty(direction: Array) -> float:
             squares = 0.0
             for view, j1, j2 in kept:
                 one, two = (np.tensordot(direction, j, 1) for j in (j1, j2))
-                squares += float(np.sum(view.sums(one**2 - two**2) ** 2)) / 4
+                squares += float(view.spread((one**2 - two**2)[None])[0, 0]) / 4
             return float(np.sqrt(squares)) / self._weights
 
         return Equations(

@@ -31,21 +31,34 @@ class View:
     """height x width x 1, >= 0: how much the square of a difference counts"""
     noise: float
     """mean of the image's own variance, weighted; 0 where it is not known"""
-    block: int
-    """width of blocks of pixels whose noise is independent of that of others"""
+    reach: int
+    """distance in pixels beyond which noise is independent, along rows and columns"""
 
     @property
     def count(self) -> float:
         """Sum of the weights of all numbers."""
         return float(self.weight.sum()) * self.image.shape[2]
 
-    def sums(self, values: Any) -> Array:
-        """Sums over blocks; the last three axes become one."""
-        values = values.sum(axis=-1)
-        for axis in (-1, -2):
-            starts = np.arange(0, values.shape[axis], self.block)
-            values = np.add.reduceat(values, starts, axis=axis)
-        return np.reshape(values, (*values.shape[:-2], -1))
+    def spread(self, values: Any) -> Array:
+        """Covariance of the sums over the image of some values, from how these scatter.
+
+        The values have the axes (quantities, height, width, channels). Their noise is taken to be
+        independent between pixels farther apart than ``reach``; channels of a pixel count as one.
+        """
+        pixels = values.sum(axis=-1)
+        flat = pixels.reshape(len(pixels), -1)
+        own = flat @ flat.T
+        if not self.reach:
+            return np.asarray(own)
+        from scipy.ndimage import uniform_filter  # takes a while to import
+
+        width = 2 * self.reach + 1
+        near = uniform_filter(pixels, (1, width, width), mode="constant") * width**2
+        found = flat @ near.reshape(len(pixels), -1).T
+        # An estimate that may come out too small, even below 0: not less than of single pixels.
+        variances, directions = np.linalg.eigh((found + found.T) / 2)
+        least = np.einsum("ji,jk,ki->i", directions, own, directions)
+        return np.asarray((directions * np.maximum(variances, least)) @ directions.T)
 
     def passes(self, spp: int) -> tuple[int, int]:
         """Number of passes, samples per pixel of each."""
@@ -121,8 +134,8 @@ def _view(scene: mi.Scene, number: int, sensor: int, image: Any, weight: Any) ->
     mean = np.where(unusable, 0.0, mean)
     noise = float(np.mean(weighed * np.nan_to_num(variance)) / weighed.mean())
     radius = film.rfilter().radius()
-    block = 1 if radius <= 0.5 + 1e-6 else math.ceil(4 * radius)
-    return View(sensor, mean, weighed, noise, block)
+    reach = 0 if radius <= 0.5 + 1e-6 else math.ceil(radius)
+    return View(sensor, mean, weighed, noise, reach)
 
 
 def _numbers(label: str, image: Any) -> tuple[Array, Array]:
