@@ -21,8 +21,8 @@ from tiers import THOROUGH, quick
 import nonexp
 from nonexp import fitting, models, parameters
 from nonexp.fitting import plot as plotting
-from nonexp.fitting.fit import _shown
 from nonexp.system import machine
+from nonexp.transmittance.shown import with_error
 
 Parameters = dict[str, Any]
 
@@ -439,7 +439,7 @@ def test_a_fit_prints_its_values_with_two_digits_of_the_error() -> None:
 def test_numbers_are_shown_to_two_digits_of_their_error(
     value: float, error: float | None, shown: tuple[str, str]
 ) -> None:
-    text = _shown(value, error)
+    text = with_error(value, error)
     assert [word and float(word) if word[:1].isdigit() else word for word in text] == [
         word and float(word) if word[:1].isdigit() else word for word in shown
     ]

@@ -31,6 +31,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("scene",),
     ("integrators", "images", "fitting"),
     ("rendering",),
+    ("inverse",),
     ("bench",),
     ("cli",),
     ("nonexp",),

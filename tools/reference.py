@@ -219,7 +219,19 @@ DOCUMENTED: dict[str, tuple[Any, tuple[str, ...]]] = {
     "nonexp.fitting": (fitting, ("Fit", "compare", "read_table")),
     "nonexp.parameters": (parameters, ("whole", "vector", "text", "function", "components")),
     "nonexp.rendering": (rendering, ("plan", "planned", "render_passes")),
-    "nonexp.inverse": (inverse, ("jacobian", "differences", "Derivative")),
+    "nonexp.inverse": (
+        inverse,
+        (
+            "fit",
+            "Report",
+            "ImageFit",
+            "descend",
+            "Descent",
+            "jacobian",
+            "differences",
+            "Derivative",
+        ),
+    ),
     "nonexp.images": (images, ("read", "tone_map", "write")),
     "nonexp.fitting.plot": (plotting, ("plot_model", "plot_fit")),
 }

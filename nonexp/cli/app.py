@@ -41,6 +41,7 @@ examples:
   nonexp models
   nonexp plot gamma alpha=0.5 -o gamma.svg
   nonexp fit data.csv --model gamma --model linear -o fit.png
+  nonexp fit scene.xml --image photo.exr -p sigma_t --model gamma --model exponential
   nonexp cloud scenes/cloud.npz
   nonexp doctor
 """

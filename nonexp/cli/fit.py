@@ -1,4 +1,4 @@
-"""``nonexp fit``: fit models to a measured transmittance."""
+"""``nonexp fit``: fit models to a measured transmittance, or a scene to images."""
 
 from __future__ import annotations
 
@@ -7,18 +7,33 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+from cyclopts import Group, Parameter
+
 from .. import fitting
 from ..fitting.fit import Fit
 from ..fitting.problem import kinds_of
 from ..models import names as all_models
 from ..system.terminal import show, stdout, table
-from .arguments import Pairs, argument, definition, one_sentence
+from .arguments import (
+    Definitions,
+    Pairs,
+    UserError,
+    Variant,
+    argument,
+    definition,
+    one_sentence,
+    whole,
+)
+from .fit_images import Search, fit_images
+from .fit_images import parameter as unknown
 from .plot import values
 
 if TYPE_CHECKING:
     from rich.table import Table
 
 __all__ = ["fit"]
+
+IMAGES = Group("Fit a scene to images", sort_key=1)
 
 
 def _sigma_t(text: str) -> float | str:
@@ -37,7 +52,7 @@ _PAIR = argument("key=value", definition("alpha=0.5"), many=True)
 
 
 def fit(
-    data: Annotated[Path, argument("DATA.csv")],
+    data: Annotated[Path, argument("DATA")],
     /,
     *,
     model: Annotated[tuple[str, ...], argument("MODEL", str, many=True)] = (),
@@ -45,8 +60,20 @@ def fit(
     start: Annotated[Pairs, _PAIR] = (),
     sigma_t: Annotated[float | str, argument("VALUE", _sigma_t)] = "auto",
     output: Annotated[Path | None, argument("OUT.png", None, "--output", "-o")] = None,
+    image: Annotated[tuple[Path, ...], argument("IMAGE.exr", Path, many=True, group=IMAGES)] = (),
+    parameter: Annotated[
+        Pairs, argument("NAME[=START]", unknown, "--parameter", "-p", many=True, group=IMAGES)
+    ] = (),
+    parameters: Annotated[Definitions, Parameter(group=IMAGES)] = (),
+    medium: Annotated[str | None, argument("NAME", None, group=IMAGES)] = None,
+    sensor: Annotated[tuple[str, ...], argument("N", str, many=True, group=IMAGES)] = (),
+    free_exposure: Annotated[bool, Parameter(group=IMAGES)] = False,
+    spp: Annotated[int | None, argument("N", whole(4), group=IMAGES)] = None,
+    steps: Annotated[int | None, argument("N", whole(1), group=IMAGES)] = None,
+    seed: Annotated[int | None, argument("S", whole(0), group=IMAGES)] = None,
+    variant: Annotated[Variant, Parameter(group=IMAGES)] = None,
 ) -> None:
-    """Fit models to a measured transmittance.
+    """Fit models to a measured transmittance, or a scene to images.
 
     Fits the parameters of a model to a transmittance over distance, by least squares, and prints
     what a scene's medium needs. DATA is a table with the columns distance (or optical depth),
@@ -54,15 +81,48 @@ def fit(
     sigma. Several models are compared by AIC, Akaike's information criterion: the one with the
     least is the best.
 
+    With --image DATA is a scene, whose parameters are fitted to EXR images. Each --model takes the
+    place of the medium's law, and all of its parameters are fitted; without, the law stays. Laws
+    are compared by their loss, the mean squared difference without noise. With -o all numbers go to
+    OUT.json, beside the picture OUT.png.
+
     Args:
-        data: table: distance, ff [, sigma]
-        model: may be repeated; all (the default) tries every model
+        data: table: distance, ff [, sigma]; with --image a scene file
+        model: may be repeated; all tries every model (the default for a table)
         fix: hold a parameter there, as in alpha=0.5; may be repeated
         start: start the search there, as in alpha=0.5; may be repeated
         sigma_t: extinction that turns distance into optical depth: a number, fit, or auto (default:
             fitted, but 1 for models whose parameters are lengths or extinctions themselves)
         output: also draw data, fits and residuals
+        image: fit a scene to this image, of the size that it is rendered in; may be repeated, for
+            one image per sensor
+        parameter: parameter of the scene to fit, such as sigma_t or albedo=0.5 to start there; may
+            be repeated
+        medium: medium whose law is exchanged, if there are several
+        sensor: number or id of an image's sensor (default: the scene's, in order)
+        free_exposure: fit a factor on the brightness of each image
+        spp: samples per pixel in the end, twice (default: 1024)
+        steps: most steps of the search (default: 20)
+        seed: default: 0
     """
+    options: dict[str, Any] = {
+        "sensor": sensor,
+        "medium": medium,
+        "free_exposure": free_exposure,
+        "spp": spp,
+        "steps": steps,
+        "seed": seed,
+    }
+    if image:
+        if sigma_t != "auto":
+            raise UserError("--sigma-t goes with a table: with --image it is -p sigma_t=VALUE")
+        search = Search(data, image, parameter, parameters, model, values(fix), values(start))
+        fit_images(search, output, variant, **options)
+        return
+    for name, value in {"parameter": parameter, "-D": parameters, **options}.items():
+        if value:
+            flag = name if name == "-D" else "--" + name.replace("_", "-")
+            raise UserError(f"{flag} goes with --image: a table has no scene")
     with one_sentence():
         _fit(data, model, values(fix), values(start), sigma_t, output)
 

@@ -19,7 +19,7 @@ from ..models import _notation as notation
 from ..transmittance import Transmittance
 from ..transmittance.columns import check_measured, read_table
 from ..transmittance.kinds import number
-from ..transmittance.shown import html_table
+from ..transmittance.shown import html_table, signed, with_error
 from .problem import EXACT, SCANNED, Problem, each, kinds_of
 
 __all__ = ["Fit", "compare", "fit", "read_table"]
@@ -91,10 +91,10 @@ class Fit:
         for name, value in quantities.items():
             error = self.errors.get(name)
             if isinstance(value, (int, float)):
-                rows.append((name, *_shown(value, error)))
+                rows.append((name, *with_error(value, error)))
             elif isinstance(error, tuple):
                 for i, pair in enumerate(zip(value, error, strict=True)):
-                    rows.append((f"{name}[{i}]", *_shown(*pair)))
+                    rows.append((f"{name}[{i}]", *with_error(*pair)))
         return rows
 
     @property
@@ -106,15 +106,15 @@ class Fit:
         rows = self.rows()
         widths = [max(len(row[i]) for row in rows) for i in (0, 1)]
         for name, value, error in rows:
-            lines.append(f"  {name:{widths[0]}}  {value:>{widths[1]}} {_signed(error)}".rstrip())
+            lines.append(f"  {name:{widths[0]}}  {value:>{widths[1]}} {signed(error)}".rstrip())
         return "\n".join([*lines, *(f"  {note}" for note in self.notes)])
 
     def _repr_html_(self) -> str:
-        rows = [(name, value, _signed(error)) for name, value, error in self.rows()]
+        rows = [(name, value, signed(error)) for name, value, error in self.rows()]
         return html_table(self._title, ("parameter", "value", "standard error"), rows, self.notes)
 
     def __repr__(self) -> str:
-        shown = ", ".join(f"{name}={value} {_signed(error)}" for name, value, error in self.rows())
+        shown = ", ".join(f"{name}={value} {signed(error)}" for name, value, error in self.rows())
         return f"Fit({self.name}: {shown}, residual={self.residual:.3g})"
 
 
@@ -235,25 +235,3 @@ def _result(problem: Problem) -> Fit:
 
 def _rounded(value: Any) -> Any:
     return each(value, lambda v: float(f"{v:.7g}") if isinstance(v, float) else v)
-
-
-def _shown(value: Any, error: float | None) -> tuple[str, str]:
-    """A value and its standard error, to two digits of the error."""
-    if not isinstance(value, float):
-        return str(value), ""
-    if error is None:
-        return f"{value:.6g}", ""
-    if math.isnan(error):
-        return f"{value:.6g}", "at its limit"
-    if math.isinf(error):
-        return f"{value:.3g}", "not determined"
-    if error < 1e-12 * abs(value):
-        return f"{value:.6g}", "0"
-    digits = 1 - math.floor(math.log10(error))
-    if -3 < digits < 10 and abs(value) < 1e7:
-        return f"{value:.{max(digits, 0)}f}", f"{error:.{max(digits, 0)}f}"
-    return f"{value:.6g}", f"{error:.2g}"
-
-
-def _signed(error: str) -> str:
-    return f"± {error}" if error[:1].isdigit() else f"({error})" if error else ""

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 
 from .targets import Progress
 
-__all__ = ["bar", "describe", "time"]
+__all__ = ["bar", "describe", "row", "time"]
 
 
 def time(seconds: float) -> str:
@@ -39,7 +39,21 @@ def describe(progress: Progress, pixels: int, error: float | None) -> str:
 
 @contextlib.contextmanager
 def bar(name: str, pixels: int, error: float | None) -> Iterator[Callable[[Progress], None]]:
-    """Show progress on a terminal (stderr) or in Jupyter: call what is given after each pass."""
+    """Show the progress of a render: call what is given after each pass."""
+    with row(name) as update:
+
+        def show(progress: Progress) -> None:
+            whole = progress.seconds + progress.left
+            share = progress.seconds / whole if 0 < whole < math.inf else 0.0
+            update(share, describe(progress, pixels, error))
+
+        yield show
+
+
+@contextlib.contextmanager
+def row(name: str) -> Iterator[Callable[[float, str], None]]:
+    """A progress bar on a terminal (stderr) or in Jupyter: call what is given with the share that
+    is done, and the state in words."""
     from rich.console import Console
     from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
     from rich.progress import Progress as Bar
@@ -54,12 +68,5 @@ def bar(name: str, pixels: int, error: float | None) -> Iterator[Callable[[Progr
     shown = console.is_terminal or console.is_jupyter
     with Bar(*columns, console=console, disable=not shown) as rows:
         task = rows.add_task("", total=1.0, state="compiling")
-
-        def show(progress: Progress) -> None:
-            whole = progress.seconds + progress.left
-            share = progress.seconds / whole if 0 < whole < math.inf else 0.0
-            state = describe(progress, pixels, error)
-            rows.update(task, completed=share, state=state)
-
-        yield show
+        yield lambda share, state: rows.update(task, completed=share, state=state)
         rows.refresh()  # Jupyter would keep the last but one

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from html import escape
 from typing import Any
 
 from .kinds import number, single
 
-__all__ = ["brief", "html_table"]
+__all__ = ["brief", "html_table", "signed", "with_error"]
 
 
 def brief(value: Any) -> str:
@@ -36,3 +37,26 @@ def html_table(
         cells = "".join(f"<td>{escape(text)}</td>" for text in row)
         lines.append(f"<tr>{cells}</tr>")
     return "\n".join([*lines, "</tbody></table>", *(f"<p>{escape(note)}</p>" for note in notes)])
+
+
+def with_error(value: Any, error: float | None) -> tuple[str, str]:
+    """A value and its standard error, to two digits of the error."""
+    if not isinstance(value, float):
+        return str(value), ""
+    if error is None:
+        return f"{value:.6g}", ""
+    if math.isnan(error):
+        return f"{value:.6g}", "at its limit"
+    if math.isinf(error):
+        return f"{value:.3g}", "not determined"
+    if error < 1e-12 * abs(value):
+        return f"{value:.6g}", "0"
+    digits = 1 - math.floor(math.log10(error))
+    if -3 < digits < 10 and abs(value) < 1e7:
+        return f"{value:.{max(digits, 0)}f}", f"{error:.{max(digits, 0)}f}"
+    return f"{value:.6g}", f"{error:.2g}"
+
+
+def signed(error: str) -> str:
+    """A standard error behind its value; words about it in parentheses."""
+    return f"± {error}" if error[:1].isdigit() else f"({error})" if error else ""
