@@ -24,7 +24,7 @@ def blocks(name: str, medium: str, size: int = 8) -> Any:
     """Means of size x size blocks of the image, and their standard errors."""
     built = mi.load_file(str(SCENES / f"{name}.xml"), medium=medium)
     assert type(built.integrator()).__name__ == "NonexpVolpath"
-    values = passes(built, 24, 1, size)
+    values = passes(built, 64, 1, size)
     assert np.all(np.isfinite(values))
     return values.mean(axis=1), stats.sem(values, axis=1)
 
