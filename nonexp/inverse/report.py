@@ -62,7 +62,11 @@ class Report:
             shown = [
                 f"{name} = {value} {signed(error)}".rstrip() for name, value, error in one.rows()
             ]
-            by = "" if one is self.best else f"{'> ' if least else ''}{ratio:.3g}"
+            by = (
+                ""
+                if one is self.best or (least and ratio < 1)
+                else f"{'> ' if least else ''}{ratio:.3g}"
+            )
             found.append((one.law, one.shown_loss, by, ", ".join(shown)))
         return found
 
