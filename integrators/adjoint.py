@@ -357,7 +357,7 @@ class Adjoint:
         if not dr.grad_enabled(term):
             return tangent
         if self.mode == dr.ADMode.Forward:
-            return tangent + dr.detach(dr.forward_to(term))
+            return mi.Spectrum(tangent + dr.detach(dr.forward_to(term)))
         dr.backward_from(self.delta * term)
         return self.leaves.collected(tangent)
 
@@ -436,7 +436,7 @@ class Adjoint:
         o, d, length = (dr.detach(part) for part in line)
         if self.mode == dr.ADMode.Forward:
             change = walk.spread(twin.density, o, d, length, None, within)
-            return tangent + slope * change
+            return mi.Spectrum(tangent + slope * change)
         counted = dr.sum(self.delta * slope)
         walk.spread(twin.density, o, d, length, counted, within & (counted != 0))
         return tangent

@@ -459,3 +459,24 @@ def test_names_and_numbers_are_checked() -> None:
     (found,) = inverse.jacobian(made, SIGMA, spp=4, runs=2)
     assert found.value.shape == found.stderr.shape == (8, 8, 3)
     assert dr.grad_enabled(mi.traverse(made)[SIGMA]) is False
+
+
+@pytest.mark.parametrize("variant", thorough("llvm_ad_spectral", "llvm_ad_mono"), indirect=True)
+def test_other_variants(variant: str) -> None:
+    """Forward and backward, by a colour too; a medium with a jump, so that paths are forced."""
+    inside = quadratic(sigma_t=RGB) | {"albedo": {"type": "rgb", "value": [0.9, 0.7, 0.5]}}
+    parts = {"ball": ball(inside), "lamp": LAMP, "floor": FLOOR}
+    made = scene({"type": "nonexp_volpath", "max_depth": 6}, **CAMERA, **parts)
+    parameters = mi.traverse(made)
+    keys = [key for key in parameters.keys() if "medium" in key and "floor" not in key]
+    names = [key for key in keys if key.endswith(("scale", ".b")) or "albedo" in key]
+    assert len(names) == 3
+    for name in names:
+        (value,) = attached(parameters, name)
+        image = mi.render(made, parameters, spp=16, seed=3)
+        dr.backward(dr.mean(image, axis=None))
+        backward = float(np.sum(np.array(dr.grad(value))))
+        parameters[name] = type(value)(dr.detach(value))
+        parameters.update()
+        (found,) = inverse.jacobian(made, name, spp=16, runs=1, seed=3)
+        assert found.value.mean() == pytest.approx(backward, rel=2e-5), name
