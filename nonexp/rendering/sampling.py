@@ -7,6 +7,7 @@ the passes of one replicate continue its sequence. The spread of the replicates 
 from __future__ import annotations
 
 import contextlib
+import functools
 from collections.abc import Iterator
 from typing import Any
 
@@ -113,21 +114,27 @@ _FORWARDED = (
 """All that a sensor does, in Mitsuba 3.9."""
 
 
-def _stand_in(camera: Any, sampler: mi.Sampler) -> Any:
-    """A sensor with another sampler that does what ``camera`` does."""
+@functools.cache
+def _stand_in_class(variant: str) -> Any:
+    """A kind of sensor that does what its ``camera`` does: one for each variant."""
 
     def forwarded(name: str) -> Any:
-        return lambda self, *given, **named: getattr(camera, name)(*given, **named)
+        return lambda self, *given, **named: getattr(self.camera, name)(*given, **named)
 
-    base: Any = mi.Sensor  # of the variant that is set
-    stand_in = type("StandIn", (base,), {name: forwarded(name) for name in _FORWARDED})
+    base: Any = mi.Sensor
+    return type("StandIn", (base,), {name: forwarded(name) for name in _FORWARDED})
+
+
+def _stand_in(camera: Any, sampler: mi.Sampler) -> Any:
+    """A sensor with another sampler that does what ``camera`` does."""
     props = mi.Properties()
     props["film"], props["sampler"] = camera.film(), sampler
     props["shutter_open"] = camera.shutter_open()
     props["shutter_close"] = camera.shutter_open() + camera.shutter_open_time()
     if camera.get_medium() is not None:
         props["medium"] = camera.get_medium()
-    sensor = stand_in(props)
+    sensor = _stand_in_class(mi.variant())(props)
+    sensor.camera = camera
     sensor.m_needs_sample_2 = camera.m_needs_sample_2
     sensor.m_needs_sample_3 = camera.m_needs_sample_3
     return sensor
