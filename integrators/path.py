@@ -427,7 +427,7 @@ class Events:
             a.expected, a.shown = outlook.seen, mi.Spectrum(s.throughput * outlook.emission)
         if outlook.rule:
             weight = outlook.rule.weight(a.collided, outlook.survived)
-            weight = dr.select(outlook.here, weight, type(weight)(1))
+            weight = mi.Spectrum(dr.select(outlook.here, weight, 1))
             a.carried = mi.Spectrum(a.carried * weight)
             if flight.begun:
                 a.weight = weight
@@ -660,8 +660,7 @@ class Events:
             flight.ahead = a.ahead
             flight.tau = dr.maximum(a.tau - a.sigma_t * a.column, 0)
             if a.weight is not None:
-                weighted = mi.Spectrum(s.throughput * a.weight)
-                s.throughput = dr.select(fresh, weighted, s.throughput)
+                s.throughput = dr.select(fresh, s.throughput * a.weight, s.throughput)
         if self.chromatic:
             balance = a.balance
             if self.null:
