@@ -486,15 +486,15 @@ class Events:
         """Weigh emission that is expected, and what the flight came to."""
         a.outlook = outlook
         if outlook.seen is not None:
-            a.expected, a.shown = outlook.seen, s.throughput * outlook.emission
+            a.expected, a.shown = outlook.seen, mi.Spectrum(s.throughput * outlook.emission)
         if outlook.rule:
             weight = outlook.rule.weight(a.collided, outlook.survived)
-            weight = dr.select(outlook.here, weight, type(weight)(1))
-            a.carried = a.carried * weight
+            weight = mi.Spectrum(dr.select(outlook.here, weight, 1))
+            a.carried = mi.Spectrum(a.carried * weight)
             if flight.begun:
                 a.weight = weight
             else:
-                s.throughput = s.throughput * weight
+                s.throughput = mi.Spectrum(s.throughput * weight)
             a.refused = collided & ~a.collided
         if a.shown is not None:
             a.shown = dr.select(a.expected, a.shown, a.carried)

@@ -37,6 +37,20 @@ def test_dragon(capsys: pytest.CaptureFixture[str]) -> None:
     assert found["connections through smooth glass"][0] == "out of lobe"
 
 
+def test_expected_values(capsys: pytest.CaptureFixture[str]) -> None:
+    fog = str(Path(DRAGON).parent / "fog.xml")
+    asked = "emission met in media", "collisions in dark media"
+    expected = ("medium", "expected"), ("medium", "fewer are kept, and count more")
+    for arguments, answers in (
+        ([fog], expected),
+        ([fog, "-D", "albedo=0.7"], (("medium", "expected, up to 2 mean free paths ahead"), None)),
+        ([DRAGON], (None, None)),
+    ):
+        found = table(capsys, *arguments)
+        for question, answer in zip(asked, answers, strict=True):
+            assert found[question] == answer if answer else found[question][0] == "none"
+
+
 def test_vacuum(capsys: pytest.CaptureFixture[str]) -> None:
     for parameter in ("medium=constant", "sigma_t=0"):
         found = table(capsys, DRAGON, "-D", parameter)
