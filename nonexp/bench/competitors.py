@@ -22,7 +22,8 @@ class Competitor:
     own media, with these properties. It takes part in scenes that have all tags ``needs`` and none
     of ``not_with``, and in a quick run only if ``quick``. ``later`` bounces are added to the
     scene's ``rr_depth``. ``module`` is imported first, to register your own plugin. ``tracking`` is
-    how flights pass grids; with another than ``auto`` only laws for which there is a choice.
+    how flights pass grids; with another than ``auto`` only laws for which there is a choice. Of the
+    ``sampler`` each pass takes a sequence of its own, with ``samples`` times the scene's samples.
     """
 
     name: str
@@ -35,6 +36,8 @@ class Competitor:
     later: int = 0
     module: str = ""
     tracking: str = "auto"
+    sampler: str = "independent"
+    samples: int = 1
 
     def takes_part(self, case: Case) -> bool:
         """Whether it competes in the case."""
@@ -67,6 +70,8 @@ GREY = {"has_spectral_extinction": False}
 
 COMPETITORS = (
     Competitor("nonexp", "nonexp_volpath", quick=True),
+    # As nonexp.render does 1024 samples per pixel, in 8 replicates.
+    Competitor("nonexp sobol", "nonexp_volpath", quick=True, sampler="nonexp_sobol", samples=4),
     Competitor(
         "nonexp nee=off",
         "nonexp_volpath",

@@ -23,6 +23,7 @@ import numpy as np
 
 from ..images.moments import Array
 from ..rendering.passes import pass_seed
+from ..rendering.sampling import View
 from . import statistics
 from .competitors import Competitor
 from .results import Row
@@ -63,7 +64,7 @@ class Job:
     def of(case: Case, competitor: Competitor, variant: str, divide: int = 1) -> Job:
         """The job of a competitor in a case."""
         scene = case.scene
-        spp = max(scene.spp // divide, 1)
+        spp = max(scene.spp * competitor.samples // divide, 1)
         return Job(competitor, scene.name, case.law, scene.size, spp, variant)
 
     def seed(self, seed: int) -> int:
@@ -221,13 +222,16 @@ def _serve(pipe: Any, job: Job) -> None:
     case = Case(next(scene for scene in SCENES if scene.name == job.scene), job.law)
     scene = case.scene.build(job.competitor.filling(case), job.size)
     integrator = job.competitor.integrator(case.scene)
+    sensor = View(scene.sensors()[0], job.competitor.sampler, job.spp).sensor
     pipe.send(None)
     while True:
         seed, spp, look = pipe.recv()
-        pipe.send(render_timed(scene, integrator, seed, spp, look))
+        pipe.send(render_timed(scene, integrator, seed, spp, look, sensor))
 
 
-def render_timed(scene: Any, integrator: Any, seed: int, spp: int, look: bool = False) -> Pass:
+def render_timed(
+    scene: Any, integrator: Any, seed: int, spp: int, look: bool = False, sensor: Any = 0
+) -> Pass:
     """One image, timed from the call to the end of the last kernel; ``look`` records kernels and
     memory."""
     backend = dr.JitBackend.CUDA if "cuda" in (mi.variant() or "") else dr.JitBackend.LLVM
@@ -238,7 +242,7 @@ def render_timed(scene: Any, integrator: Any, seed: int, spp: int, look: bool = 
     held = dr.detail.malloc_watermark(backend)
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, look):
         started = time.perf_counter()
-        image = integrator.render(scene, seed=seed, spp=spp)
+        image = integrator.render(scene, sensor, seed=seed, spp=spp)
         dr.eval(image)
         dr.sync_thread()
         seconds = time.perf_counter() - started
