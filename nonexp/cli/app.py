@@ -25,6 +25,7 @@ COMMANDS = (
     "plot",
     "fit",
     "cloud",
+    "check",
     "bench",
     "doctor",
 )
@@ -42,6 +43,7 @@ examples:
   nonexp plot gamma alpha=0.5 -o gamma.svg
   nonexp fit data.csv --model gamma --model linear -o fit.png
   nonexp cloud scenes/cloud.npz
+  nonexp check my_laws.py
   nonexp doctor
 """
 
@@ -81,7 +83,8 @@ def parse(arguments: Sequence[str]) -> tuple[Callable[..., Any], BoundArguments]
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code.
 
-    0, 1 where ``compare`` finds a difference, 2 for an error, 130 for Ctrl-C, 143 for SIGTERM.
+    0, 1 where ``compare`` finds a difference, ``check`` a fault or ``validate`` a deviation, 2 for
+    an error, 130 for Ctrl-C, 143 for SIGTERM.
     """
     try:
         command, bound = parse(sys.argv[1:] if arguments is None else arguments)
