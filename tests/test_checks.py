@@ -132,6 +132,10 @@ PLANTED: dict[str, tuple[Any, str]] = {
         lambda: spoilt(Gamma, sigma_bar=property(lambda self: 1.01)),
         r"sigma_bar is 1\.01, but -ff'\(0\) is 1, too large by 1 %",
     ),
+    "wrong sigma_bar where pf is ff": (
+        lambda: spoilt(Exponential, sigma_bar=property(lambda self: 0.98 / self.s)),
+        r"sigma_bar is 0\.98, but -ff'\(0\) is 1, too small by 2 %",
+    ),
     "wrong normalisation of pf": (
         lambda: spoilt(Exponential, pf=lambda self, tau: 0.99 * dr.exp(-tau)),
         r"normalisation of pf: pf\(0\) is 0\.99, not 1",
@@ -237,7 +241,7 @@ def test_law_of_a_stranger_that_is_wrong_is_named_by_the_command(
     spoilt = text.replace("self.s * dr.atanh(draw())", "1.01 * self.s * dr.atanh(draw())")
     assert spoilt != text
     stranger.write_text(spoilt, encoding="utf-8")
-    assert cli.main(["check", f"{stranger.name}:SoftRepulsion", "--no-renders"]) == 1
+    assert cli.main(["check", f"{stranger.name}:SoftRepulsion", "--skip-renders"]) == 1
     shown = capsys.readouterr().out
     assert re.search(r"sampler of ff: distances too long by 1\.[01] % \(± 0\.1 %\)", shown)
     assert "1 law: 1 fault\n" in shown
@@ -252,6 +256,8 @@ def test_law_of_a_stranger_that_is_wrong_is_named_by_the_command(
         (["strange_laws.py:Nothing"], "has no function Nothing"),
         (["json"], "there is no class of nonexp.Transmittance in it"),
         (["json:loads"], "it must be a class of nonexp.Transmittance"),
+        (["--integrator", "no_such_plugin"], "no_such_plugin"),
+        (["--integrator", "volpath", "--case", "moon"], "case is 'moon': it must be one of"),
         (["gamma", "--variant", "scalar_rgb"], "variant 'scalar_rgb' is not supported"),
     ],
 )
@@ -358,9 +364,15 @@ def forgetful() -> Iterator[None]:
 
 
 @THOROUGH
-def test_integrator_that_forgets_the_albedo_is_named(forgetful: None) -> None:
+def test_integrator_that_forgets_the_albedo_is_named(
+    forgetful: None, capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(Fault, match=r"null-constant: missing albedo .*: means differ"):
         check_integrator("forgetful", cases=["null-constant"])
+    assert cli.main(["check", "--integrator", "forgetful", "--case", "null-constant"]) == 1
+    shown = capsys.readouterr().out
+    assert re.search(r"^null-constant +WRONG +0\.6%", shown, re.MULTILINE)
+    assert "missing albedo" in shown
 
 
 @THOROUGH
@@ -398,6 +410,9 @@ def test_plugin_adds_the_checks_of_a_law(stranger: Path) -> None:
     (counts,) = re.findall(r"^(\d+ failed.*) in ", run.stdout, re.MULTILINE)
     total = sum(int(n) for n in re.findall(r"(\d+) (?:failed|passed|skipped)", counts))
     assert total == len(laws.CHECKS) + 1
+    chosen = ("-q", "--collect-only", "-k", "sampler", "--nonexp-law", "strange_laws.py")
+    listed = pytest_run(stranger.parent, *chosen).stdout
+    assert len(re.findall(r"^strange_laws\.py::.* sampler of [fp]f$", listed, re.MULTILINE)) == 2
     run = pytest_run(stranger.parent, "-q", "--nonexp-law", "strange_laws:Nothing")
     assert run.returncode == pytest.ExitCode.USAGE_ERROR
     assert "--nonexp-law: law is 'strange_laws:Nothing'" in run.stderr

@@ -32,6 +32,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("integrators", "images", "fitting"),
     ("rendering",),
     ("bench", "testing"),
+    ("validation",),
     ("cli",),
     ("nonexp",),
 )
@@ -347,16 +348,24 @@ def mitsuba(house: House) -> Iterator[str]:
             yield f"{arrow} before LLVM is chosen: import it inside a function"
 
 
+def at_import(node: ast.AST) -> Iterator[ast.AST]:
+    """What is evaluated when a file is imported: all but the bodies of functions."""
+    yield node
+    for child in ast.iter_child_nodes(node):
+        if not isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef):
+            yield from at_import(child)
+
+
 def variants(house: House) -> Iterator[str]:
     """Classes derived from Mitsuba's live in modules that registration evaluates for each variant:
-    these are reached by name, never imported."""
+    these are reached by name, never imported. Those inside functions are made when these run."""
     registration = "nonexp/plugins/registration.py"
     anew = {arrow.to for arrow in house.arrows if arrow.file == registration and arrow.by_name}
     for arrow in house.arrows:
         if arrow.to in anew and not arrow.by_name:
             yield f"{arrow}, which is evaluated anew for each variant: reach it by name"
     for file, text in house.sources.items():
-        for node in ast.walk(parsed(text)):
+        for node in at_import(parsed(text)):
             if isinstance(node, ast.ClassDef) and file not in anew:
                 if any(ast.unparse(base).startswith(("mi.", "mitsuba.")) for base in node.bases):
                     yield (

@@ -26,6 +26,7 @@ COMMANDS = (
     "fit",
     "cloud",
     "check",
+    "validate",
     "bench",
     "doctor",
 )
@@ -44,6 +45,7 @@ examples:
   nonexp fit data.csv --model gamma --model linear -o fit.png
   nonexp cloud scenes/cloud.npz
   nonexp check my_laws.py
+  nonexp validate --quick
   nonexp doctor
 """
 

@@ -22,7 +22,8 @@ def check(
     *laws: Annotated[str, argument("LAWS")],
     integrator: Annotated[str | None, argument("NAME")] = None,
     medium: Annotated[str, argument("NAME")] = "homogeneous",
-    no_renders: bool = False,
+    case: Annotated[tuple[str, ...], argument("NAME", str, many=True)] = (),
+    skip_renders: bool = False,
     variant: Variant = None,
 ) -> int:
     """Check laws of your own, or an integrator.
@@ -34,18 +35,20 @@ def check(
     exponential media. The exit code is 0 if nothing is wrong, and 1 if something is.
 
     Args:
+        laws: files, modules, laws or models
         integrator: check this integrator instead of laws
         medium: the medium that the integrator renders (default: homogeneous)
-        no_renders: without the renders, which take half of the time
+        case: of an integrator's checks only this one, such as null-constant; may be repeated
+        skip_renders: without the renders, which take half of the time
     """
     with one_sentence():
         mi.set_variant(check_variant(variant))
         mi.set_log_level(mi.LogLevel.Error)
     if integrator is not None:
-        return _integrator(integrator, medium, laws)
+        return _integrator(integrator, medium, laws, case)
     if not laws:
         raise UserError("LAWS is missing: name a file of laws, a law, or a model")
-    return _laws(laws, not no_renders)
+    return _laws(laws, not skip_renders)
 
 
 def _laws(names: tuple[str, ...], rendered: bool) -> int:
@@ -79,7 +82,7 @@ def _verdict(outcome: Outcome) -> str:
     return "passed" if outcome.passed else "WRONG"
 
 
-def _integrator(name: str, medium: str, files: tuple[str, ...]) -> int:
+def _integrator(name: str, medium: str, files: tuple[str, ...], cases: tuple[str, ...]) -> int:
     from ..testing.exponential import MATRIX, verdicts
 
     rows = table(f"{name} against volpath", "verdict", "finds a bias of", "difference")
@@ -89,8 +92,9 @@ def _integrator(name: str, medium: str, files: tuple[str, ...]) -> int:
             path = Path(file)
             module = path.stem if path.suffix == ".py" else file
             load_module("file", module, [str(path.resolve().parent)])
-        for place, verdict in enumerate(verdicts(name, medium=medium)):
-            note(f"{place + 1} of {len(MATRIX)}: {verdict.case}")
+        chosen = cases or MATRIX
+        for place, verdict in enumerate(verdicts(name, medium=medium, cases=chosen)):
+            note(f"{place + 1} of {len(chosen)}: {verdict.case}")
             said = "" if verdict.agreement is None else f"{verdict.agreement.difference:+.2%}"
             verdict_text = "passed" if verdict.fault is None else "WRONG"
             rows.add_row(verdict.case, verdict_text, f"{verdict.within:.1%}", said)

@@ -142,13 +142,10 @@ class Outcome:
 
 
 class LawChecks:
-    """The checks of one law; each runs once, when its outcome is asked for.
+    """The checks of one law; each runs once, when its outcome is asked for."""
 
-    ``law`` is a law, or a class of laws, then with the parameters given, or its defaults.
-    """
-
-    def __init__(self, law: Law, **parameters: Any) -> None:
-        self.law = law(**parameters) if isinstance(law, type) else law
+    def __init__(self, law: Transmittance) -> None:
+        self.law = law
         self.name = _shown(self.law)
         self._known: dict[str, Outcome] = {}
 
@@ -182,7 +179,7 @@ def law_checks(law: Law) -> list[LawChecks]:
         return [LawChecks(law)]
     if not issubclass(law, Transmittance) or inspect.isabstract(law):
         raise ValueError(f"law is {law!r}: it must be a subclass of nonexp.Transmittance")
-    return [LawChecks(law, **_fields(law, given)) for given in law.examples]
+    return [LawChecks(law(**_fields(law, given))) for given in law.examples]
 
 
 def check_law(law: Law, *, rendered: bool = True) -> list[Outcome]:

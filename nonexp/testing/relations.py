@@ -152,17 +152,17 @@ def fp_is_minus_the_slope_of_ff(law: Transmittance) -> None:
         return
     start = float(-slope(law.ff, np.zeros(1))[0])
     factor = _factor(fp, right)
-    if sigma_bar and np.all(_close(pf, ff, 1e-9)):
-        raise Fault(
-            "pf equals ff: flights from a particle must have the transmittance -ff'/sigma_bar, "
-            + _where("pf", tau, pf, right / sigma_bar, good)
-        )
     if not sigma_bar or factor is not None:
         at_zero = float(law.pf(0.0))
         if abs(at_zero - 1) > 1e-9:
             raise Fault(f"normalisation of pf: pf(0) is {at_zero:.8g}, not 1")
         ratio = f", {percent(sigma_bar / start)}" if start else ""
         raise Fault(f"sigma_bar is {sigma_bar:.8g}, but -ff'(0) is {start:.8g}{ratio}")
+    if np.all(_close(pf, ff, 1e-9)):
+        raise Fault(
+            "pf equals ff: flights from a particle must have the transmittance -ff'/sigma_bar, "
+            + _where("pf", tau, pf, right / sigma_bar, good)
+        )
     raise Fault(
         "pf is not -ff'/sigma_bar: "
         + _where("pf", tau, pf, right / sigma_bar if sigma_bar else right, good)

@@ -27,11 +27,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )
 
 
-@pytest.hookimpl(trylast=True)
+@pytest.hookimpl(tryfirst=True)  # before -k and --deselect choose
 def pytest_collection_modifyitems(
     session: pytest.Session, config: pytest.Config, items: list[pytest.Item]
 ) -> None:
-    """Add one test for each check of each law; ``-k`` and ``--deselect`` do not see them."""
+    """Add one test for each check of each law."""
     for name in config.getoption("--nonexp-law"):
         items.extend(_items(session, config, name))
 
