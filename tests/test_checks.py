@@ -428,7 +428,7 @@ spec = importlib.util.spec_from_file_location("nonexp_pytest", {str(PLUGIN)!r})
 module = importlib.util.module_from_spec(spec)
 sys.modules["nonexp_pytest"] = module
 spec.loader.exec_module(module)
-sys.exit_code = pytest.main(["--collect-only", "-qqq", "-p", "no:cacheprovider", "--noconftest",
+pytest.main(["--collect-only", "-qqq", "-p", "no:cacheprovider", "--noconftest",
     "-o", "addopts=", "-p", "no:xdist", {str(ROOT / "tests" / "tiers.py")!r}], [module])
 heavy = {{name.partition(".")[0] for name in set(sys.modules) - before}}
 print(json.dumps(sorted(heavy & {{"nonexp", "mitsuba", "drjit", "numpy", "scipy"}})))
