@@ -8,138 +8,13 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
-from build import ball, perspective, scene, stock
+from build import scene, stock
 from measure import assert_same, passes
 from tiers import THOROUGH, quick, thorough
 
+from nonexp.testing.exponential import CASES, COUNT, GRID, POWER, lobe, nested
+
 pytestmark = pytest.mark.thorough
-
-GRID = 6
-
-
-def light(kind: str) -> dict[str, Any]:
-    if kind == "area":
-        place = mi.ScalarTransform4f().translate([0.5, 2.5, 0.5]).rotate([1, 0, 0], 90)
-        return {
-            "type": "rectangle",
-            "to_world": place,
-            "emitter": {"type": "area", "radiance": 4.0},
-        }
-    return {
-        "point": {"type": "point", "position": [1, 2.5, 1.5], "intensity": 10.0},
-        "spot": {
-            "type": "spot",
-            "to_world": mi.ScalarTransform4f().look_at([1, 3, 1], [0, 0, 0], [0, 0, 1]),
-            "intensity": 20.0,
-            "cutoff_angle": 30,
-        },
-        "directional": {"type": "directional", "direction": [-0.3, -1, -0.4], "irradiance": 2.0},
-        "constant": {"type": "constant"},
-    }[kind]
-
-
-def floor() -> dict[str, Any]:
-    place = mi.ScalarTransform4f().translate([0, -1.2, 0]).rotate([1, 0, 0], -90).scale(3)
-    return {"type": "rectangle", "to_world": place, "bsdf": {"type": "diffuse"}}
-
-
-def lobe(make: Callable[..., Any], bsdf: str, emitter: str) -> dict[str, Any]:
-    inside = make(
-        sigma_t=1.5,
-        albedo={"type": "rgb", "value": [0.9, 0.7, 0.4]},
-        phase={"type": "hg", "g": 0.4},
-    )
-    return {
-        "sensor": perspective([0, 0.6, 4], [0, 0, 0]),
-        "lobe": ball(inside, bsdf),
-        "floor": floor(),
-        "emitter": light(emitter),
-    }
-
-
-def nested(make: Callable[..., Any], second: Callable[..., Any]) -> dict[str, Any]:
-    """A glass ball and a gold ball inside an index-matched fog ball, in a closed room of light."""
-    glass = ball(second(sigma_t=4.0, albedo=0.9), "dielectric", 0.35)
-    place = mi.ScalarTransform4f()
-    fog = make(sigma_t=0.8, albedo=0.95)
-    return {
-        "sensor": perspective([0, 0.6, 4], [0, 0, 0]),
-        "fog": {"type": "ref", "id": "fog_medium"},
-        "fog_medium": {**fog, "id": "fog_medium"},
-        "outer": {
-            "type": "sphere",
-            "bsdf": {"type": "null"},
-            "interior": {"type": "ref", "id": "fog_medium"},
-        },
-        "glass": {
-            **glass,
-            "to_world": place.translate([-0.4, 0, 0.2]),
-            "exterior": {"type": "ref", "id": "fog_medium"},
-        },
-        "gold": {
-            "type": "sphere",
-            "to_world": place.translate([0.4, -0.1, 0]).scale(0.3),
-            "bsdf": {"type": "roughconductor", "material": "Au", "alpha": 0.2},
-        },
-        "floor": floor(),
-        "emitter": light("area"),
-        "sky": {"type": "constant", "radiance": 0.3},
-    }
-
-
-def instances(make: Callable[..., Any]) -> dict[str, Any]:
-    """Two index-matched fog balls that exist only as instances."""
-    place = mi.ScalarTransform4f()
-    group = {"type": "shapegroup", "shape": ball(make(sigma_t=2.0, albedo=0.9), radius=0.6)}
-    copies = {
-        f"copy {i}": {
-            "type": "instance",
-            "group": {"type": "ref", "id": "group"},
-            "to_world": place.translate([x, 0, 0]),
-        }
-        for i, x in enumerate((-0.7, 0.7))
-    }
-    camera = perspective([0, 0.6, 4], [0, 0, 0])
-    return {"group": group, **copies, "sensor": camera, "floor": floor(), "sun": light("point")}
-
-
-def lamp_in_lobe(make: Callable[..., Any]) -> dict[str, Any]:
-    """Smooth glass around a medium in which light is found, after all, by connections."""
-    parts = lobe(make, "dielectric", "constant")
-    bulb = {"type": "area", "radiance": 20.0}
-    parts["bulb"] = {"type": "sphere", "center": [0.3, 0.2, 0], "radius": 0.1, "emitter": bulb}
-    return parts
-
-
-def fog_room(make: Callable[..., Any], emitter: str) -> dict[str, Any]:
-    """The camera stands in the medium that fills a room."""
-    room = {"type": "cube", "flip_normals": True, "to_world": mi.ScalarTransform4f().scale(4)}
-    return {
-        "fog": {**make(sigma_t=0.3, albedo=0.8), "id": "fog"},
-        "sensor": {
-            **perspective([0, 0, 3.5], [0, 0, 0], 70),
-            "medium": {"type": "ref", "id": "fog"},
-        },
-        "room": room,
-        "object": {"type": "sphere", "radius": 0.8, "bsdf": {"type": "plastic"}},
-        "emitter": light(emitter),
-    }
-
-
-CASES: dict[str, Callable[..., dict[str, Any]]] = {
-    **{
-        f"{bsdf}-{emitter}": lambda make, bsdf=bsdf, emitter=emitter: lobe(make, bsdf, emitter)
-        for bsdf in ("null", "dielectric", "roughdielectric")
-        for emitter in ("area", "point", "constant")
-    },
-    "null-spot": lambda make: lobe(make, "null", "spot"),
-    "null-directional": lambda make: lobe(make, "null", "directional"),
-    "nested": lambda make: nested(make, make),
-    "instances": instances,
-    "lamp in lobe": lamp_in_lobe,
-    "camera inside, area": lambda make: fog_room(make, "area"),
-    "camera inside, point": lambda make: fog_room(make, "point"),
-}
 
 
 def both(
@@ -159,34 +34,6 @@ def both(
 def drop_in(**kw: Any) -> Any:
     """Our medium as one writes Mitsuba's: without a nested law, exponential by default."""
     return {"type": "nonexp_homogeneous", **kw}
-
-
-# Relative bias that a case finds with a probability above 0.9. Light that a lobe focuses on its way
-# to or from a small emitter is heavy-tailed: weaker.
-POWER = {
-    "null-constant": 0.006,
-    "dielectric-constant": 0.006,
-    "dielectric-area": 0.05,
-    "roughdielectric-area": 0.05,
-    "roughdielectric-point": 0.15,
-    "nested": 0.015,
-    "camera inside, area": 0.03,
-    "camera inside, point": 0.04,
-}
-
-
-# Paths a block in each of 64 passes, as many as that takes.
-COUNT = {
-    "null-area": 1024,
-    "null-spot": 1024,
-    "null-constant": 128,
-    "dielectric-point": 1024,
-    "dielectric-constant": 256,
-    "roughdielectric-point": 1024,
-    "nested": 64,
-    "camera inside, area": 640,
-    "camera inside, point": 1024,
-}
 
 
 @pytest.mark.parametrize("case", quick(CASES, {"null-area", "dielectric-constant"}.__contains__))

@@ -45,6 +45,8 @@ from tiers import THOROUGH, quick, thorough
 
 import nonexp
 from nonexp import models
+from nonexp.testing import renders
+from nonexp.testing.renders import quadrature, unit
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
@@ -67,26 +69,9 @@ def on_few_laws(test: Any) -> Any:
     return test
 
 
-def unit(model: nonexp.Transmittance) -> float:
-    """A mean free path, in optical depth."""
-    return 1 / (float(model.sigma_bar) or 1.0)
-
-
 def values(function: Callable[[Any], Any], tau: Any) -> Any:
     """A model's function, in double precision."""
     return np.array(function(Float64(np.ravel(tau)))).reshape(np.shape(tau))
-
-
-def quadrature(
-    model: nonexp.Transmittance, *edges: float, units: tuple[float, ...] = (1.0,)
-) -> tuple[Any, Any]:
-    """Gauss-Legendre nodes and weights, piecewise between edges and where the model's functions,
-    called on optical depths in these ``units``, have kinks."""
-    kinks = [unit * float(tau) for tau in model.kinks for unit in units]
-    cuts = np.unique([*edges, *(x for x in kinks if edges[0] < x < edges[-1])])
-    x, w = np.polynomial.legendre.leggauss(max(8, 256 // len(cuts)))
-    half = np.diff(cuts)[:, None] / 2
-    return (cuts[:-1, None] + half * (1 + x)).ravel(), (half * w).ravel()
 
 
 # ------------------------------------------------------------------------------- transmittance
@@ -94,11 +79,7 @@ def quadrature(
 
 def test_share_of_light_that_crosses_is_ff(case: Case) -> None:
     """Counted escapes of 2^18 single rays through the middle of an absorbing ball."""
-    model = law(case)
-    for depth in (0.15 * unit(model), 0.8 * unit(model)):
-        inside = medium(*case, sigma_t=depth / 2, albedo=0.0)
-        samples = radiance(scene(DRAWN, sensor=beam(), ball=ball(inside), sky=FURNACE), 2**18, 3)
-        assert_share(samples, float(model.ff(depth)))
+    renders.share_that_crosses(law(case))
 
 
 @on_few_laws
@@ -123,19 +104,7 @@ def test_single_scattering_in_a_ball(case: Case, connecting: bool, effort: int) 
     With connections pf is evaluated along shadow rays; without, flights from particles escape
     with that probability.
     """
-    model = law(case)
-    radius, albedo = 0.65 * unit(model), 0.8
-    inside = medium(*case, sigma_t=radius, albedo=albedo, sample_emitters=connecting)
-    integrator = {"type": "nonexp_volpath", "max_depth": 2}
-    parts = {"sensor": beam(), "ball": ball(inside), "sky": FURNACE}
-    got = passes(scene(integrator, **parts), 2**11 * effort, 5)
-
-    s, weight = quadrature(model, 0, 2 * radius)
-    mu = (np.arange(1000) + 0.5) / 500 - 1
-    r = np.abs(s - radius)[:, None]
-    exits = -r * mu + np.sqrt(radius**2 - r**2 * (1 - mu**2))
-    scattered = np.dot(weight, values(model.fp, s) * values(model.pf, exits).mean(axis=1))
-    expected = float(model.ff(2 * radius)) + albedo * scattered
+    got, expected = renders.single_scattering(law(case), connecting, 2**11 * effort)
     assert_mean(got, expected, 0.02 / effort**0.5)
 
 
@@ -167,19 +136,14 @@ def test_single_scattering_from_a_half_space(case: Case, mu: tuple[float, float]
 @on_few_laws
 @pytest.mark.parametrize("boundary", ["null", "dielectric"])
 def test_white_furnace_without_connections_is_exact(case: Case, boundary: str) -> None:
-    inside = medium(*case, sigma_t=3 * unit(law(case)), albedo=1.0, sample_emitters=False)
-    parts = {"sensor": orthographic(1.1), "ball": ball(inside, boundary), "sky": FURNACE}
-    samples = radiance(scene(NO_ROULETTE, **parts), 2**14, 6)
+    samples = renders.exact_furnace(law(case), boundary)
     # A refraction in and one out round twice each; ten internal reflections add no more.
     np.testing.assert_allclose(samples, 1, rtol=0 if boundary == "null" else 2e-6)
 
 
 @on_few_laws
 def test_white_furnace_with_connections_and_roulette(case: Case) -> None:
-    phase = {"type": "hg", "g": 0.5}
-    inside = medium(*case, sigma_t=3 * unit(law(case)), albedo=1.0, phase=phase)
-    parts = {"sensor": orthographic(1.1), "ball": ball(inside), "sky": FURNACE}
-    assert_mean(passes(scene(**parts), 2**10, 7), 1.0, 0.05)
+    renders.white_furnace(law(case))
 
 
 def collisions(case: Case, sigma_t: float, count: int, seed: int) -> Any:
@@ -519,37 +483,11 @@ def test_laws_that_coincide_render_alike(one: Case, other: Case, effort: int) ->
 # ------------------------------------------------------------------------------- reciprocity
 
 
-def plate(where: list[float], towards: list[float], **kw: Any) -> dict[str, Any]:
-    to_world = mi.ScalarTransform4f().look_at(where, towards, [0, 1, 0.1]).scale(0.35)
-    black = {"type": "diffuse", "reflectance": 0.0}
-    return {"type": "rectangle", "to_world": to_world, "bsdf": black, **kw}
-
-
 @pytest.mark.thorough
 @on_few_laws
 def test_exchanging_light_and_detector_changes_nothing(case: Case, effort: int) -> None:
     """One plate stands in the medium, one outside, at other distances and angles."""
-    model = law(case)
-    sigma_t = 1.2 * unit(model)
-    fog = {"type": "ref", "id": "fog"}
-    inner = {"where": [0.2, -0.5, 0.1], "towards": [0.6, 0.6, 0.5]}
-    outer = {"where": [0.3, 1.6, 0.4], "towards": [-0.3, 0.0, 0.1]}
-    light = {"emitter": {"type": "area", "radiance": 1.0}}
-
-    def meter(**kw: Any) -> dict[str, Any]:
-        return {"sensor": {"type": "irradiancemeter", "film": square_film(1), **kw}}
-
-    def flux(inside: dict[str, Any], outside: dict[str, Any], seed: int) -> Any:
-        built = scene(
-            fog={**medium(*case, sigma_t=sigma_t, albedo=0.9), "id": "fog"},
-            ball=ball(fog),
-            inner=plate(**inner, **inside),
-            outer=plate(**outer, **outside),
-        )
-        return passes(built, 2**13 * effort, seed)
-
-    forward = flux(meter(medium=fog), light, 12)
-    backward = flux(light, meter(), 13)
+    forward, backward = renders.exchange(law(case), 2**13 * effort)
     assert_same(forward, backward, 0.15 / effort**0.5)
 
 

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from build import scene, stock
 from measure import assert_same, passes
-from test_against_mitsuba import GRID, lobe
 from tiers import THOROUGH
+
+from nonexp.testing.exponential import GRID, lobe
 
 
 @THOROUGH

@@ -10,7 +10,6 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from arrays import with_arrays
 from build import FURNACE, MODELS, QUICK, ball, beam, perspective, scene
 from drjit.llvm.ad import PCG32, Float, Float64
 from measure import FALSE_ALARM, assert_mean, largest_kernel, radiance
@@ -27,6 +26,7 @@ from nonexp.models.gamma import Gamma
 from nonexp.models.linear import Linear
 from nonexp.models.mixture import Mixture
 from nonexp.models.quadratic import Quadratic
+from nonexp.testing.arrays import with_arrays
 from nonexp.transmittance import Transmittance
 from nonexp.transmittance.choice import pick
 

@@ -22,7 +22,7 @@ from cyclopts.argument import Argument
 from docstrings import field_docs, inline, manual
 
 import nonexp
-from nonexp import fitting, images, inverse, models, parameters, rendering
+from nonexp import fitting, images, inverse, models, parameters, rendering, testing
 from nonexp.cli import app as command_line
 from nonexp.fitting import plot as plotting
 from nonexp.plugins import registration
@@ -232,6 +232,10 @@ DOCUMENTED: dict[str, tuple[Any, tuple[str, ...]]] = {
             "Derivative",
         ),
     ),
+    "nonexp.testing": (
+        testing,
+        ("check_law", "check_integrator", "assert_same_image", "assert_mean", "Agreement"),
+    ),
     "nonexp.images": (images, ("read", "tone_map", "write")),
     "nonexp.fitting.plot": (plotting, ("plot_model", "plot_fit")),
 }
@@ -294,8 +298,8 @@ CLI = """\
 # Command line
 
 Written by `tools/reference.py` from the command's own help. Exit codes: 0 done; 1 where `compare`
-finds a difference; 2 an error, in one sentence; 130 interrupted. `python -m nonexp` is the same
-command."""
+finds a difference, `check` a fault or `validate` a deviation; 2 an error, in one sentence; 130
+interrupted. `python -m nonexp` is the same command."""
 
 
 def cli_page() -> str:

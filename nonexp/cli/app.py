@@ -25,6 +25,8 @@ COMMANDS = (
     "plot",
     "fit",
     "cloud",
+    "check",
+    "validate",
     "bench",
     "doctor",
 )
@@ -43,6 +45,8 @@ examples:
   nonexp fit data.csv --model gamma --model linear -o fit.png
   nonexp fit scene.xml --image photo.exr -p sigma_t --model gamma --model exponential
   nonexp cloud scenes/cloud.npz
+  nonexp check my_laws.py
+  nonexp validate --quick
   nonexp doctor
 """
 
@@ -82,7 +86,8 @@ def parse(arguments: Sequence[str]) -> tuple[Callable[..., Any], BoundArguments]
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code.
 
-    0, 1 where ``compare`` finds a difference, 2 for an error, 130 for Ctrl-C, 143 for SIGTERM.
+    0, 1 where ``compare`` finds a difference, ``check`` a fault or ``validate`` a deviation, 2 for
+    an error, 130 for Ctrl-C, 143 for SIGTERM.
     """
     try:
         command, bound = parse(sys.argv[1:] if arguments is None else arguments)

@@ -25,7 +25,8 @@ class BlockTest:
     """Block test: the differences of block means in units of their standard errors.
 
     A block is tested in each colour channel, and so is the whole image; the limit is that of a
-    normal variable that all of them together exceed by chance in 1 of 100 comparisons.
+    normal variable that all of them together exceed by chance in 1 of 100 comparisons, or as often
+    as ``false_alarm`` says.
     """
 
     blocks: int
@@ -65,8 +66,11 @@ class Comparison:
     """None if an image has no standard error"""
 
 
-def compare(a: Picture, b: Picture) -> Comparison:
-    """Compare two images of equal size."""
+def compare(a: Picture, b: Picture, false_alarm: float = FALSE_ALARM) -> Comparison:
+    """Compare two images of equal size.
+
+    ``false_alarm`` is the chance that images which differ by noise alone are found to differ.
+    """
     if a.mean.shape != b.mean.shape:
         sizes = [f"{p.path} is {p.mean.shape[1]}x{p.mean.shape[0]}" for p in (a, b)]
         raise ValueError(f"the images differ in size: {' and '.join(sizes)} pixels")
@@ -85,7 +89,7 @@ def compare(a: Picture, b: Picture) -> Comparison:
         noise=None if variance is None else float(variance.mean()),
         bias=float(difference.mean()) / level if level else math.nan,
         bias_error=_bias_error(variance, level),
-        test=None if variance is None else _test(a, b, variance, abs(level)),
+        test=None if variance is None else _test(a, b, variance, abs(level), false_alarm),
     )
 
 
@@ -121,7 +125,7 @@ def _bias_error(variance: Array | None, level: float) -> float | None:
     return float(per_channel.mean()) / abs(level)
 
 
-def _test(a: Picture, b: Picture, variance: Array, level: float) -> BlockTest:
+def _test(a: Picture, b: Picture, variance: Array, level: float, false_alarm: float) -> BlockTest:
     difference = a.mean - b.mean
     height, width, _ = difference.shape
     size = _BLOCK if max(height, width) >= _SMALL_IMAGE else _SMALL_BLOCK
@@ -150,7 +154,7 @@ def _test(a: Picture, b: Picture, variance: Array, level: float) -> BlockTest:
             min(int(columns[column]) + size // 2, width - 1),
             min(int(rows[row]) + size // 2, height - 1),
         )
-    limit = float(stats.norm.isf(FALSE_ALARM / 2 / (blocks.size + whole.size)))
+    limit = float(stats.norm.isf(false_alarm / 2 / (blocks.size + whole.size)))
     seen = (limit + 1.28) * float(np.sqrt(variance.sum(axis=(0, 1))).mean())
     return BlockTest(
         blocks=int(tested.any(axis=2).sum()),

@@ -1,4 +1,4 @@
-"""Functions that scene files name as ``module:function``."""
+"""Functions that scene files name as ``module:function``, and modules of users."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-__all__ = ["files", "load_function"]
+__all__ = ["files", "load_function", "load_module"]
 
 _lock = threading.RLock()  # a module may create models of such functions itself
 _imported: dict[Path, dict[str, tuple[ModuleType, tuple[int, int]]]] = {}
@@ -39,22 +39,33 @@ def load_function(label: str, name: Any, folders: Sequence[str] = ()) -> Callabl
     if not isinstance(name, str) or not re.fullmatch(r"[\w.]+:[\w.]+", name):
         raise ValueError(f"{label} is {name!r}: it must be {words}")
     module, _, path = name.partition(":")
-    beside = [folder.resolve() for folder in map(Path, folders)]
-    home = _home(module, beside)
-    try:
-        with _lock:
-            found: Any = _import(module, beside) if home is None else _import_from(home, module)
-    except ImportError as error:
-        raise ValueError(f"{label} is {name!r}: {error}") from error
-    except Exception as error:
-        raise ValueError(
-            f"{label} is {name!r}: module {module} fails with {type(error).__name__}: {error}"
-        ) from error
+    found: Any = _load(f"{label} is {name!r}", module, folders)
     for part in path.split("."):
         found = getattr(found, part, None)
     if not callable(found):
         raise ValueError(f"{label} is {name!r}: module {module} has no function {path}")
     return found
+
+
+def load_module(label: str, name: str, folders: Sequence[str] = ()) -> ModuleType:
+    """The module of that name, as :func:`load_function` imports it; raises ``ValueError``."""
+    if not re.fullmatch(r"\w+(\.\w+)*", name):
+        raise ValueError(f"{label} is {name!r}: it must be the name of a module")
+    return _load(f"{label} is {name!r}", name, folders)
+
+
+def _load(label: str, module: str, folders: Sequence[str]) -> ModuleType:
+    beside = [folder.resolve() for folder in map(Path, folders)]
+    home = _home(module, beside)
+    try:
+        with _lock:
+            return _import(module, beside) if home is None else _import_from(home, module)
+    except ImportError as error:
+        raise ValueError(f"{label}: {error}") from error
+    except Exception as error:
+        raise ValueError(
+            f"{label}: module {module} fails with {type(error).__name__}: {error}"
+        ) from error
 
 
 def files(module: str, folders: Iterable[Path]) -> list[Path]:

@@ -7,12 +7,12 @@ import functools
 from typing import Any
 
 import numpy as np
-from arrays import with_arrays
 from drjit.llvm.ad import Float, Float64
 from stability_cases import CASES
 from stability_reference import Law, exact, mp, reference
 
 from nonexp import models
+from nonexp.testing.arrays import with_arrays
 
 BAR = 2e-6
 """Relative error allowed in float32, in units of 1 + |ln value|."""

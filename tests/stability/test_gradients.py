@@ -15,13 +15,13 @@ from typing import Any
 import drjit as dr
 import numpy as np
 import pytest
-from arrays import with_arrays
 from drjit.llvm.ad import Float
 from stability_cases import CASES, every_case
 from stability_reference import exact, mp, reference
 from stability_values import some, steps_around
 
 from nonexp import models
+from nonexp.testing.arrays import with_arrays
 
 BAR = 1e-4
 SLACK = 1e-6

@@ -1,4 +1,4 @@
-"""Models whose parameters are Dr.Jit arrays, as the renderer has them."""
+"""Laws whose parameters are Dr.Jit arrays, as the renderer has them."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from nonexp import parameters
-from nonexp.transmittance import Transmittance
+from ..transmittance import Transmittance, parameters
+
+__all__ = ["with_arrays"]
 
 
 def with_arrays(
