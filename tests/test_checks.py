@@ -305,7 +305,9 @@ def test_kinds_of_images(tmp_path: Path) -> None:
     image = nonexp.render(built, spp=1024, seed=5, pass_spp=16)
     assert_same_image(image, built, within=0.05)
     brighter = dataclasses.replace(image, mean=1.05 * image.mean)
-    with pytest.raises(AssertionError, match=r"images differ, .*: the first is brighter .* by 5\."):
+    with pytest.raises(
+        AssertionError, match=r"images differ, .*: the first is brighter .* by (4\.9|5\.)"
+    ):
         assert_same_image(brighter, built, within=0.05)
     rng = np.random.default_rng(1)
     one, other = (1 + 0.1 * rng.standard_normal((64, 12, 10, 3)) for _ in range(2))
