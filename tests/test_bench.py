@@ -276,7 +276,7 @@ def test_a_cloud_has_the_same_density_in_mitsubas_medium_and_in_ours() -> None:
         "nonexp",
         "nonexp sobol",
     ]
-    assert len(competing(small("cloud-32-thin", "gamma"))) == 3
+    assert len(competing(small("cloud-32-thin", "gamma"))) == 4
     assert reference_competitor(small("cloud-32-thin", "gamma")).tracking == "regular"
 
 
