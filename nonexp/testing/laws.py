@@ -198,7 +198,7 @@ def check_law(law: Law, *, rendered: bool = True) -> list[Outcome]:
     >>> import nonexp
     >>> from nonexp.testing import check_law
     >>> len(check_law(nonexp.models.create("gamma", alpha=0.5), rendered=False))
-    15
+    16
     """
     chosen = [check for check in CHECKS if rendered or check.stage < RENDERED]
     found = [outcome for checks in law_checks(law) for outcome in checks.outcomes(chosen)]

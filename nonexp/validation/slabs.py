@@ -20,6 +20,9 @@ from .study import Effort, estimate
 
 __all__ = ["Light", "incident", "paths", "shares", "slab"]
 
+_TOGETHER = 2**12
+"""Paths of a sequence: their means are the independent samples that errors are computed from."""
+
 Light = Callable[[Any], Any]
 """Directions of the incident paths, from a sampler."""
 
@@ -69,12 +72,16 @@ def incident(mu: float | None) -> Light:
     return lambertian if mu is None else beam
 
 
-def paths(built: Any, thickness: float, light: Light, seed: int, count: int) -> Any:
+def paths(
+    built: Any, thickness: float, light: Light, seed: int, count: int, together: int = 1
+) -> Any:
     """What each of ``count`` paths reflects and transmits: shape (2, count).
 
+    ``together`` paths in a row share the points of one scrambled sequence; 1: all are independent.
     A ray's time is the number of its path.
     """
-    sampler = mi.load_dict({"type": "independent"})
+    kind = {"type": "nonexp_sobol", "sample_count": together}
+    sampler = mi.load_dict(kind if together > 1 else {"type": "independent"})
     sampler.seed(seed, count)
     d = light(sampler)
     number = mi.Float(dr.arange(mi.UInt32, count))
@@ -96,7 +103,8 @@ def shares(
     built, light = slab(medium, thickness, index), incident(mu)
 
     def run(seed: int) -> dict[str, Any]:
-        found = paths(built, thickness, light, seed, effort.count)
-        return dict(zip(("reflected", "transmitted"), found, strict=True))
+        found = paths(built, thickness, light, seed, effort.count, _TOGETHER)
+        means = found.reshape(2, -1, _TOGETHER).mean(axis=2)
+        return dict(zip(("reflected", "transmitted"), means, strict=True))
 
     return estimate(case, run, effort)
