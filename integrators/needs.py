@@ -336,7 +336,8 @@ def _largest_albedo(medium: Any) -> float:
         return 1.0
     sigma_s, _, sigma_t = medium.get_scattering_coefficients(visible())
     sigma_s, sigma_t = np.array(dr.detach(sigma_s)), np.array(dr.detach(sigma_t))
-    return float(np.max(sigma_s / np.where(sigma_t > 0, sigma_t, 1)))
+    # Extinction that depends on the direction is 0 here: then the ratio is not known.
+    return float(np.max(sigma_s / sigma_t)) if np.all(sigma_t > 0) else 1.0
 
 
 # --------------------------------------------------------------------- glass

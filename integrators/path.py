@@ -592,7 +592,8 @@ class Events:
         useful = dr.any(scattering.value != 0)
         shares = record.shares if record else None
         arriving = self.nee.arriving(link, start, sampler, useful, shares)
-        light, weight = link.light * arriving, link.weight(scattering.value_pdf)
+        light = mi.Spectrum(link.light * arriving)
+        weight = link.weight(scattering.value_pdf)
         contribution = a.carried * scattering.value * light * weight
         if record:
             factor, value = a.carried * light * weight, scattering.value

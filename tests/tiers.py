@@ -1,4 +1,7 @@
-"""Which tests are quick: all but those marked thorough, which ``pytest --quick`` leaves out."""
+"""Which tests are quick: all but those marked thorough, which ``pytest --quick`` leaves out.
+
+Repetitions marked full run only with ``pytest --full``: cases beside others of their kind.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,14 @@ from typing import Any
 import pytest
 
 THOROUGH = pytest.mark.thorough
+
+
+FULL = (pytest.mark.full, THOROUGH)
+
+
+def full(*values: Any, several: bool = False) -> list[Any]:
+    """Values that are tested only with --full, each of one parameter or of ``several``."""
+    return [pytest.param(*(value if several else [value]), marks=FULL) for value in values]
 
 
 def thorough(*values: Any, several: bool = False) -> list[Any]:

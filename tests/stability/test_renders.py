@@ -15,6 +15,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from build import (
+    DRAWN,
     FURNACE,
     NO_ROULETTE,
     SHUTTER,
@@ -146,7 +147,7 @@ def test_ends_of_albedo_and_depth(
 ) -> None:
     """No path, or none that scatters: what crosses is ff; else a furnace."""
     inside = medium(*case, sigma_t=0.4, albedo=albedo, sample_emitters=connecting)
-    integrator = {"type": "nonexp_volpath", "max_depth": max_depth}
+    integrator = {**DRAWN, "max_depth": max_depth}
     built = scene(integrator, sensor=beam(), ball=ball(inside), sky=FURNACE)
     samples = physical(radiance(built, 2**15, 8))
     if max_depth == 0:
@@ -167,7 +168,7 @@ def test_thin_slab(case: Case, thickness: float) -> None:
     for depth in (1e-3, 0.7):
         absorbing = medium(*case, sigma_t=depth / thickness, albedo=0.0)
         fog = box(absorbing, [-1, -1, -thickness], [1, 1, 0])
-        samples = radiance(scene(sensor=beam(), fog=fog, sky=FURNACE), 2**15, 9)
+        samples = radiance(scene(DRAWN, sensor=beam(), fog=fog, sky=FURNACE), 2**15, 9)
         assert_share(samples, float(law(case).ff(depth)))
     white = medium(*case, sigma_t=0.7 / thickness, albedo=1.0, sample_emitters=False)
     fog = box(white, [-1, -1, -thickness], [1, 1, 0])
@@ -192,6 +193,7 @@ def test_camera_on_the_boundary(case: Case, depth: float) -> None:
     fog = {"type": "ref", "id": "fog"}
     camera = {**perspective([0, 0, 1 - depth], [0, 0, 0], 0.01), "near_clip": 1e-6, "medium": fog}
     built = scene(
+        DRAWN,
         sensor=camera,
         fog={**medium(*case, sigma_t=0.4, albedo=0.0), "id": "fog"},
         ball=ball(fog),
@@ -256,7 +258,7 @@ def test_grazing_views(case: Case) -> None:
     absorbing = medium(*case, sigma_t=mu, albedo=0.0)
     camera = orthographic(1e-6, side=(math.sqrt(1 - mu**2), 0, mu))
     fog = box(absorbing, [-100, -100, -0.5], [100, 100, 0])
-    samples = radiance(scene(sensor=camera, fog=fog, sky=FURNACE), 2**15, 17)
+    samples = radiance(scene(DRAWN, sensor=camera, fog=fog, sky=FURNACE), 2**15, 17)
     assert_share(samples, float(law(case).ff(0.5)))
 
     white = medium(*case, sigma_t=1.0, albedo=1.0, sample_emitters=False)
