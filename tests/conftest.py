@@ -8,6 +8,7 @@ from collections.abc import Iterator
 import drjit as dr
 import mitsuba as mi
 import pytest
+from tiers import repetitions
 
 import nonexp  # noqa: F401  (registers the plugins)
 
@@ -51,12 +52,16 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave out, with --quick, what is marked thorough, and what is marked full but with --full."""
-    quick, full = config.getoption("--quick"), config.getoption("--full")
-    marks = {"thorough"} if quick else set() if full else {"full"}
-    left_out = [item for item in items if any(map(item.get_closest_marker, marks))]
-    config.hook.pytest_deselected(items=left_out)
-    items[:] = [item for item in items if item not in set(left_out)]
+    """Leave out, with --quick, what is marked thorough, and without --full repetitions."""
+    quick, full, listed = config.getoption("--quick"), config.getoption("--full"), repetitions()
+
+    def runs(item: pytest.Item) -> bool:
+        if quick and item.get_closest_marker("thorough"):
+            return False
+        return full or not listed.fullmatch(item.nodeid.removeprefix("tests/"))
+
+    config.hook.pytest_deselected(items=[item for item in items if not runs(item)])
+    items[:] = [item for item in items if runs(item)]
 
 
 @pytest.fixture(scope="session")

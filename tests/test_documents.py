@@ -137,6 +137,10 @@ def commands() -> list[Any]:
 KNOWN = {".", "cd", "dask", "export", "git", "jupyter", "make", "nonexp", "pip", "python"}
 
 
+LOADED: set[tuple[str, ...]] = set()
+"""Scenes that have been loaded, with the names of their parameters."""
+
+
 @pytest.mark.parametrize("words", commands())
 def test_command_is_understood(
     words: list[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
@@ -158,7 +162,13 @@ def test_command_is_understood(
             if scene.name == "cloud.xml":  # whose grid is made by a command before
                 clouds.write(tmp_path / "cloud.npz", SMALL_CLOUD)
                 parameters["grid"] = str(tmp_path / "cloud.npz")
-            load(scene, parameters, (8, 6))
+            medium = parameters.get("medium")
+            if medium is not None:
+                assert (scene.parent / "media" / f"{medium}.xml").is_file(), medium
+            # What else a law's file may hold: tests/test_scenes.py renders every one of them.
+            if (scene.name, *sorted(parameters)) not in LOADED:
+                LOADED.add((scene.name, *sorted(parameters)))
+                load(scene, parameters, (8, 6))
     elif program == "make":
         makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
         for target in arguments:

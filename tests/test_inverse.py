@@ -66,6 +66,7 @@ def state(of: Any) -> str:
 # ---------------------------------------------------------------------- what is recovered
 
 
+@THOROUGH
 def test_one_image_tells_the_law_and_its_parameters(effort: int) -> None:
     size, start = (24, 1.0) if effort == 1 else (64, 4.0)
     photo = nonexp.render(pictured(gamma(), size), spp=1024 * effort, pass_spp=64, seed=9)

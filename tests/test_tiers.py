@@ -13,7 +13,7 @@ import pytest
 import test_configurations
 import test_documents
 from stability_cases import CASES
-from tiers import THOROUGH
+from tiers import THOROUGH, repetitions
 
 from nonexp import models
 
@@ -109,3 +109,19 @@ def test_documents_are_quick_but_for_what_builds_pages() -> None:
     assert {re.sub(r".*::", "", node) for node in every - quickly} <= {
         "test_documentation_builds_without_a_warning"
     }
+
+
+def test_repetitions_are_tests_of_which_other_cases_stay() -> None:
+    kept = {item.nodeid.partition("[")[0] for item in suite()[0]}
+    listed = [
+        item.nodeid
+        for item in collected("--full", str(TESTS))
+        if repetitions().fullmatch(item.nodeid.removeprefix("tests/"))
+    ]
+    text = (TESTS / "repetitions.txt").read_text(encoding="utf-8")
+    for line in text.splitlines():
+        if line and not line.startswith("#"):
+            pattern = re.escape(line).replace(r"\*", ".*")
+            matches = [n for n in listed if re.fullmatch(pattern, n.removeprefix("tests/"))]
+            assert matches, line
+            assert {name.partition("[")[0] for name in matches} <= kept, line

@@ -1,11 +1,13 @@
 """Which tests are quick: all but those marked thorough, which ``pytest --quick`` leaves out.
 
-Repetitions marked full run only with ``pytest --full``: cases beside others of their kind.
+Cases that ``repetitions.txt`` lists run only with ``pytest --full``.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -13,12 +15,11 @@ import pytest
 THOROUGH = pytest.mark.thorough
 
 
-FULL = (pytest.mark.full, THOROUGH)
-
-
-def full(*values: Any, several: bool = False) -> list[Any]:
-    """Values that are tested only with --full, each of one parameter or of ``several``."""
-    return [pytest.param(*(value if several else [value]), marks=FULL) for value in values]
+def repetitions() -> re.Pattern[str]:
+    """What matches the ids of tests that run only with --full."""
+    text = (Path(__file__).parent / "repetitions.txt").read_text(encoding="utf-8")
+    lines = [line for line in text.splitlines() if line and not line.startswith("#")]
+    return re.compile("|".join(re.escape(line).replace(r"\*", ".*") for line in lines))
 
 
 def thorough(*values: Any, several: bool = False) -> list[Any]:
