@@ -257,7 +257,14 @@ class Leaves:
         for before, leaf in zip(so_far, self._leaves, strict=True):
             found.append(before + dr.grad(leaf.now))
             dr.clear_grad(leaf.now)
+        self.release()
         return tuple(found)
+
+    def release(self) -> None:
+        """Keep nothing of a loop that may have ended."""
+        if not self._forward:
+            for leaf in self._leaves:
+                leaf.now = leaf.array
 
     def pass_on(self, collected: tuple[Any, ...]) -> None:
         """What all paths have collected."""
@@ -355,6 +362,7 @@ class Adjoint:
     def add(self, tangent: Any, term: Any) -> Any:
         """Count one attached term."""
         if not dr.grad_enabled(term):
+            self.leaves.release()
             return tangent
         if self.mode == dr.ADMode.Forward:
             return mi.Spectrum(tangent + dr.detach(dr.forward_to(term)))
