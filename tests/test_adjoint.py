@@ -385,6 +385,7 @@ def test_paths_are_replayed_to_the_bit() -> None:
     assert dr.all(again.residual == 0, axis=None)
 
 
+@THOROUGH
 def test_what_depends_on_parameters_of_its_own() -> None:
     """Parameters that are computed from others, in both modes."""
     parts, _ = CASES["ball"]

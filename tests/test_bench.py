@@ -87,6 +87,7 @@ def test_errors_are_corrected_for_the_reference() -> None:
     assert slope.low < -1 < slope.high
 
 
+@THOROUGH
 def test_noise_is_not_called_bias() -> None:
     """Skewed noise of passes, or more of it in the reference: no false alarm in 60, and no floor in
     about half of them (8 to 22 of 30: p < 0.01 otherwise, seeds are fixed)."""
@@ -304,6 +305,7 @@ def test_all_ways_through_a_cloud_show_the_same_image() -> None:
 # --------------------------------------------------------------------- references
 
 
+@THOROUGH
 def test_reference_is_what_is_rendered(tmp_path: Path) -> None:
     """Each channel of the chromatic ball by itself: the same as by spectral sampling, within five
     standard errors of the mean of the image."""
@@ -502,6 +504,7 @@ def test_report_names_slopes_that_are_off() -> None:
         assert "`other` in a-exponential (" in off and off.count(" in a-") == 1 and "b-" not in off
 
 
+@THOROUGH
 def test_a_failing_plot_leaves_the_old_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from matplotlib.figure import Figure
 

@@ -223,7 +223,9 @@ def test_invisible_surfaces_change_nothing(key: str, tracking: str) -> None:
     assert_same(passes(scene(**parts, cut=cut), 2**10, 2, 3), whole, 0.05)
 
 
-@pytest.mark.parametrize("case", [("exponential", {}), ("gamma", {"alpha": 0.5})], ids=model_id)
+@pytest.mark.parametrize(
+    "case", [("exponential", {}), *thorough(("gamma", {"alpha": 0.5}))], ids=model_id
+)
 @pytest.mark.parametrize("colour", [False, *thorough(True)], ids=["grey", "chromatic"])
 def test_both_ways_of_tracking_agree(case: Case, colour: bool) -> None:
     key, parameters = case
@@ -432,7 +434,8 @@ def test_an_invisible_boundary_around_a_grid_is_left_out() -> None:
     assert shell(cloud=named, **cube({"type": "ref", "id": "cloud"}), sensor=found)
 
 
-@pytest.mark.parametrize("key", ["linear", *thorough("gamma")])
+@THOROUGH
+@pytest.mark.parametrize("key", ["linear", "gamma"])
 def test_leaving_it_out_changes_nothing(key: str) -> None:
     """Beside a second medium, far away, it stays. With a floor that touches it, and inside."""
     inside = varied(noise(), key, scale=4.0, albedo=0.8)
@@ -445,6 +448,7 @@ def test_leaving_it_out_changes_nothing(key: str) -> None:
     assert_same(got, right, 0.1)
 
 
+@THOROUGH
 @pytest.mark.parametrize("key", ["linear"])
 def test_a_lamp_inside(key: str) -> None:
     """Connections end within the grid: as in a homogeneous medium of the same density."""

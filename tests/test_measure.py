@@ -34,6 +34,7 @@ def test_a_planted_bias_is_found() -> None:
         assert_same(a, spoiled, within=0.03)
 
 
+@THOROUGH
 def test_a_weak_test_is_refused() -> None:
     built = scene("volpath", **lobe(stock, "null", "area"))
     with pytest.raises(AssertionError, match="too weak"):

@@ -10,6 +10,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from build import FURNACE, ball, medium, perspective, scene
+from tiers import thorough
 
 from nonexp import plugins
 
@@ -120,7 +121,7 @@ def test_loading_in_parallel_with_plugins_that_read_files() -> None:
         )
 
 
-@pytest.mark.parametrize("version", [14, 15, 16])
+@pytest.mark.parametrize("version", [*thorough(14, 15), 16])
 def test_an_llvm_that_would_abort_the_process_is_refused(version: int) -> None:
     """With it a kernel must not even be tried: Dr.Jit calls abort()."""
     run(
