@@ -84,7 +84,7 @@ def run(
 
     Raises ``WorkerError`` if one fails.
     """
-    rounds, spp = (8, 16) if quick else (48, 64)
+    rounds, spp = (16, 16) if quick else (48, 64)
     rows = []
     for light in LIGHTS:
         workers = [Worker(_serve, light, plugin, law, spp, variant) for plugin, law in _LINES]

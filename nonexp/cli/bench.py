@@ -66,7 +66,7 @@ def bench(
         compare: print what changed beyond the noise: from OLD.json to a run made now, or from
             OLD.json to NEW.json
         scaling: measure how time and memory grow with samples, pixels, media, depth, thickness
-        gradients: measure derivatives of images, beside prbvolpath (3 minutes)
+        gradients: measure derivatives of images, beside prbvolpath (10 minutes; --quick: 1)
         rebuild_references: render the references anew, and end
         time: time per reference, as in 10m (default: 5m; the dragon gets three times as much)
     """
