@@ -62,7 +62,7 @@ class _Ray:
     began: Any
     """and where it did"""
     tangent: Any
-    """derivatives so far (with these, in forward mode)"""
+    """derivatives so far (likewise), as :attr:`.path.Path.tangent`"""
 
 
 @dataclass

@@ -327,8 +327,8 @@ def _expected(
 def _largest_albedo(medium: Any) -> float:
     """The largest albedo in a medium; 1 if that is not known."""
     known = getattr(medium, "largest_albedo", None)
-    if known is not None or recording():
-        return 1.0 if known is None else float(known)
+    if known is not None:
+        return float(known)
     parameters = mi.traverse(medium)
     if "albedo.data" in parameters:
         return float(np.max(np.array(dr.detach(parameters["albedo.data"]))))

@@ -107,7 +107,7 @@ class Path:
     flight: Flight | None
     glass: Glass | None
     tangent: Any
-    """derivative of the radiance (while paths are replayed in forward mode)"""
+    """derivatives so far, as :meth:`.adjoint.Adjoint.start` (while paths are replayed)"""
     chosen: Chosen | None
     """one of the flights so far (while paths are replayed, where densities jump)"""
     forced: Forced | None

@@ -47,8 +47,8 @@ class Exponential(nonexp.Transmittance):
         return 1 / self.s
 
     @property
-    def smooth(self) -> bool:
-        return True
+    def jumps(self) -> Any:
+        return ()
 
     def ff(self, tau: Any) -> Any:
         return dr.exp(-tau / self.s)
@@ -157,7 +157,7 @@ PLANTED: dict[str, tuple[Any, str]] = {
         r"sampler of ff: .*the distance is inf for the random numbers 0",
     ),
     "single precision lost": (
-        lambda: spoilt(Exponential, ff=lambda self, tau: 1 - (1 - dr.exp(-tau)), smooth=False),
+        lambda: spoilt(Exponential, ff=lambda self, tau: 1 - (1 - dr.exp(-tau)), jumps=None),
         r"single precision: rounding of ff",
     ),
     "no convex function": (

@@ -12,13 +12,13 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from scipy import stats
 
 from ..images.moments import Array
 from ..rendering.passes import pass_seed
 from ..system.files import write_text
+from .measure import render_timed
 from .scenes import Filling, ball, camera, lit
-from .statistics import LEVEL, Estimate
+from .statistics import Estimate, bootstrapped
 from .worker import Worker
 
 __all__ = ["LIGHTS", "PARAMETERS", "Row", "Timing", "build", "measure", "run", "table", "write"]
@@ -132,14 +132,7 @@ def measure(scene: mi.Scene, seed: int, spp: int) -> tuple[list[float], float, f
     parameters = mi.traverse(scene)
     names = [f"ball.interior_medium.{name}" for name in PARAMETERS]
     integrator = scene.integrator()
-    image = integrator.render(scene, seed=seed, spp=spp)
-    dr.eval(image)
-    dr.sync_thread()
-    started = time.perf_counter()
-    image = integrator.render(scene, seed=seed + 1, spp=spp)
-    dr.eval(image)
-    dr.sync_thread()
-    primal = time.perf_counter() - started
+    primal = render_timed(scene, integrator, seed + 1, spp)
 
     values = []
     for name in names:
@@ -148,7 +141,7 @@ def measure(scene: mi.Scene, seed: int, spp: int) -> tuple[list[float], float, f
         parameters[name] = value
         values.append(value)
     parameters.update()
-    share = dr.full(mi.TensorXf, 1 / np.prod(dr.shape(image)), dr.shape(image))
+    share = dr.full(mi.TensorXf, 1 / primal.image.size, primal.image.shape)
     dr.eval(share)
     dr.sync_thread()
     started = time.perf_counter()
@@ -161,13 +154,13 @@ def measure(scene: mi.Scene, seed: int, spp: int) -> tuple[list[float], float, f
     for name, value in zip(names, values, strict=True):
         parameters[name] = type(value)(dr.detach(value))
     parameters.update()
-    return found, seconds, primal
+    return found, seconds, primal.seconds
 
 
 def _rows(light: str, done: Sequence[_Passes], seed: int) -> list[Row]:
     rows = []
     for (plugin, law), passes in zip(_LINES, done, strict=True):
-        cost = _interval(
+        cost = bootstrapped(
             (passes.seconds, passes.primal),
             lambda a, b, axis=-1: np.median(a, axis) / np.median(b, axis),
             seed,
@@ -178,7 +171,7 @@ def _rows(light: str, done: Sequence[_Passes], seed: int) -> list[Row]:
             efficiency = None
             if (plugin, law) == _LINES[0]:
                 theirs = done[1]
-                efficiency = _interval(
+                efficiency = bootstrapped(
                     (own, passes.seconds, theirs.values[:, k], theirs.seconds), _relative, seed
                 )
             stderr = float(own.std(ddof=1) / np.sqrt(len(own)))
@@ -192,19 +185,6 @@ def _relative(own: Array, seconds: Array, theirs: Array, their: Array, axis: int
     variance = theirs.var(axis, ddof=1) / own.var(axis, ddof=1)
     ratio: Array = variance * np.median(their, axis) / np.median(seconds, axis)
     return ratio
-
-
-def _interval(samples: tuple[Array, ...], statistic: Callable[..., Array], seed: int) -> Estimate:
-    low, high = stats.bootstrap(
-        samples,
-        statistic,
-        paired=True,
-        n_resamples=2000,
-        confidence_level=LEVEL,
-        method="percentile",
-        random_state=np.random.default_rng(seed),
-    ).confidence_interval
-    return Estimate(float(statistic(*samples)), float(low), float(high))
 
 
 # --------------------------------------------------------------------- telling

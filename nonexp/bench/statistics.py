@@ -14,6 +14,7 @@ Both are unbiased, so that the error of the mean of n passes, corrected for the 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +22,16 @@ from scipy import stats
 
 from ..images.moments import Array
 
-__all__ = ["Bias", "Estimate", "Figures", "Point", "Reference", "analyse", "fit_slope"]
+__all__ = [
+    "Bias",
+    "Estimate",
+    "Figures",
+    "Point",
+    "Reference",
+    "analyse",
+    "bootstrapped",
+    "fit_slope",
+]
 
 FALSE_ALARM = 1e-4
 """Chance that a competitor without bias is called biased: 1 % over a run of 100."""
@@ -219,16 +229,23 @@ def _efficiency(squares: Array, seconds: Array, seed: int) -> Estimate:
     def efficiency(squares: Array, seconds: Array, axis: int = -1) -> Array:
         return 1 / (squares.mean(axis) * np.median(seconds, axis))
 
+    return bootstrapped((squares, seconds), efficiency, seed)
+
+
+def bootstrapped(
+    samples: tuple[Array, ...], statistic: Callable[..., Array], seed: int
+) -> Estimate:
+    """A statistic of paired samples, with its bootstrap interval over passes."""
     low, high = stats.bootstrap(
-        (squares, seconds),
-        efficiency,
+        samples,
+        statistic,
         paired=True,
         n_resamples=2000,
         confidence_level=LEVEL,
         method="percentile",
         random_state=np.random.default_rng(seed),
     ).confidence_interval
-    return Estimate(float(efficiency(squares, seconds)), float(low), float(high))
+    return Estimate(float(statistic(*samples)), float(low), float(high))
 
 
 # --------------------------------------------------------------------- bias
