@@ -8,7 +8,8 @@ reflected, green that which is transmitted.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import drjit as dr
@@ -16,9 +17,9 @@ import mitsuba as mi
 import numpy as np
 
 from ..testing.scenes import box, scene
-from .study import Effort, estimate
+from .study import Effort, Row, estimate, numbers, row
 
-__all__ = ["Light", "incident", "paths", "shares", "slab"]
+__all__ = ["Light", "compared", "incident", "paths", "shares", "slab"]
 
 _TOGETHER = 2**12
 """Paths of a sequence: their means are the independent samples that errors are computed from."""
@@ -108,3 +109,24 @@ def shares(
         return dict(zip(("reflected", "transmitted"), means, strict=True))
 
     return estimate(case, run, effort)
+
+
+def compared(
+    package: str | None, effort: Effort, lights: Mapping[str, float | None], quick: str
+) -> Iterator[Row]:
+    """The rows of a study of exponential slabs, whose quantities are named by their parameters, as
+    in ``albedo=0.9 thickness=3 g=0 normal reflected``. A quick one has those whose name begins with
+    ``quick``; a slab of more than 400 mean free paths is a half-space."""
+    held = numbers(package)
+    for case in dict.fromkeys(re.sub(r" \w+$", "", name) for name in held):
+        if effort.quick and not case.startswith(quick):
+            continue
+        *pairs, light = case.split()
+        given = {name: float(value) for name, value in (pair.split("=") for pair in pairs)}
+        phase = {"type": "hg", "g": given["g"]}
+        medium = {"type": "nonexp_homogeneous", "albedo": given["albedo"], "phase": phase}
+        thickness, index = min(given["thickness"], 400.0), given.get("index", 1.0)
+        found = shares(case, medium, thickness, lights[light], effort, index)
+        for name, (mean, error) in found.items():
+            if f"{case} {name}" in held:
+                yield row(package, held[f"{case} {name}"], mean, error)

@@ -10,11 +10,10 @@ of depth 400.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 
-from ..slabs import shares
-from ..study import Effort, Row, numbers, row
+from ..slabs import compared
+from ..study import Effort, Row
 
 TITLE = "exponential slabs and half-spaces, index-matched"
 SOURCE = "PythonicDISORT, an independent program (Ho 2024)"
@@ -25,15 +24,4 @@ QUICK = "albedo=0.9 thickness=3"
 
 def measure(effort: Effort) -> Iterator[Row]:
     """Shares of incident light that are reflected and transmitted."""
-    held = numbers(__package__)
-    for case in dict.fromkeys(re.sub(r" \w+$", "", name) for name in held):
-        if effort.quick and not case.startswith(QUICK):
-            continue
-        given = dict(pair.split("=") for pair in case.split()[:-1])
-        phase = {"type": "hg", "g": float(given["g"])}
-        medium = {"type": "nonexp_homogeneous", "albedo": float(given["albedo"]), "phase": phase}
-        thickness = min(float(given["thickness"]), 400.0)
-        found = shares(case, medium, thickness, LIGHTS[case.split()[-1]], effort)
-        for name, (mean, error) in found.items():
-            if f"{case} {name}" in held:
-                yield row(__package__, held[f"{case} {name}"], mean, error)
+    yield from compared(__package__, effort, LIGHTS, QUICK)
