@@ -18,6 +18,7 @@ from nonexp.testing.scenes import (
     ball,
     beam,
     box,
+    isotropic,
     look_at,
     medium,
     orthographic,
@@ -117,11 +118,11 @@ def recorder(*measures: Callable[[Any], Any]) -> Any:
     start, so that a sensor with ``**SHUTTER`` fills all alike. ``clear()`` sets them to zero.
     """
     batches = 64
+    base: Any = isotropic()
 
-    class Recorder(mi.PhaseFunction):
+    class Recorder(base):
         def __init__(self, props: Any) -> None:
             super().__init__(props)
-            self.m_flags = mi.PhaseFunctionFlags.Isotropic
             self.clear()
 
         def clear(self) -> None:
@@ -130,17 +131,11 @@ def recorder(*measures: Callable[[Any], Any]) -> Any:
         def sums(self) -> Any:
             return self.array.numpy().reshape(1 + len(measures), batches)
 
-        def sample(self, _context: Any, mei: Any, _u: Any, u: Any, active: Any = True) -> Any:
+        def met(self, mei: Any, active: Any) -> None:
             batch = dr.minimum(mi.UInt32(mei.time * batches), batches - 1)
             for i, value in enumerate([1.0, *(measure(mei.p) for measure in measures)]):
                 value, index = mi.Float64(value), batch + i * batches
                 dr.scatter_reduce(dr.ReduceOp.Add, self.array, value, index, active)
-            wo = mi.warp.square_to_uniform_sphere(u)
-            return wo, mi.Spectrum(1), mi.warp.square_to_uniform_sphere_pdf(wo)
-
-        def eval_pdf(self, _context: Any, _mei: Any, wo: Any, _active: Any = True) -> Any:
-            pdf = mi.warp.square_to_uniform_sphere_pdf(wo)
-            return mi.Spectrum(pdf), pdf
 
     mi.register_phase("recorder", Recorder)
     return mi.load_dict({"type": "recorder"})

@@ -16,6 +16,7 @@ __all__ = [
     "ball",
     "beam",
     "box",
+    "isotropic",
     "look_at",
     "medium",
     "orthographic",
@@ -108,3 +109,29 @@ NO_ROULETTE = {"type": "nonexp_volpath", "rr_depth": 1_000_000}
 
 DRAWN = {"type": "nonexp_volpath", "expected_emission": "off"}
 """Flights collide or do not, as drawn, and nothing is counted by its expected value."""
+
+
+def isotropic() -> Any:
+    """A class of isotropic phase functions, whose ``met(mei, active)`` is told of each collision.
+
+    It belongs to the variant that is set, so that it is made anew in each call.
+    """
+
+    class Isotropic(mi.PhaseFunction):
+        def __init__(self, props: Any) -> None:
+            super().__init__(props)
+            self.m_flags = mi.PhaseFunctionFlags.Isotropic
+
+        def met(self, mei: Any, active: Any) -> None:
+            """A collision."""
+
+        def sample(self, _context: Any, mei: Any, _u: Any, u: Any, active: Any = True) -> Any:
+            self.met(mei, active)
+            wo = mi.warp.square_to_uniform_sphere(u)
+            return wo, mi.Spectrum(1), mi.warp.square_to_uniform_sphere_pdf(wo)
+
+        def eval_pdf(self, _context: Any, _mei: Any, wo: Any, _active: Any = True) -> Any:
+            pdf = mi.warp.square_to_uniform_sphere_pdf(wo)
+            return mi.Spectrum(pdf), pdf
+
+    return Isotropic

@@ -1,7 +1,6 @@
 """The collisions of paths, one by one.
 
-A phase function that scatters isotropically and writes down where. What it derives from belongs to
-the variant that is set, so that its class is made anew in each call.
+A phase function that scatters isotropically and writes down where.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..testing.scenes import FURNACE, scene
+from ..testing.scenes import FURNACE, isotropic, scene
 from .slabs import Light, paths, slab
 
 __all__ = ["collisions", "first_depths", "recorder"]
@@ -25,10 +24,11 @@ def recorder(capacity: int) -> Any:
     positions, shape (n, 3), in the order in which each path makes them.
     """
 
-    class Recorder(mi.PhaseFunction):
+    base: Any = isotropic()
+
+    class Recorder(base):
         def __init__(self, props: Any) -> None:
             super().__init__(props)
-            self.m_flags = mi.PhaseFunctionFlags.Isotropic
             self.slots = dr.zeros(mi.UInt32, 1)
             self.path = dr.zeros(mi.UInt32, capacity)
             self.place = [dr.zeros(mi.Float, capacity) for _ in range(3)]
@@ -40,18 +40,12 @@ def recorder(capacity: int) -> Any:
             place = np.array([np.array(x)[:used] for x in self.place], dtype=float).T
             return np.array(self.path)[:used], place
 
-        def sample(self, _context: Any, mei: Any, _u: Any, u: Any, active: Any = True) -> Any:
+        def met(self, mei: Any, active: Any) -> None:
             slot = dr.scatter_inc(self.slots, mi.UInt32(0), active)
             kept = active & (slot < capacity)
             dr.scatter(self.path, mi.UInt32(mei.time), slot, kept)
             for array, x in zip(self.place, mei.p, strict=True):
                 dr.scatter(array, x, slot, kept)
-            wo = mi.warp.square_to_uniform_sphere(u)
-            return wo, mi.Spectrum(1), mi.warp.square_to_uniform_sphere_pdf(wo)
-
-        def eval_pdf(self, _context: Any, _mei: Any, wo: Any, _active: Any = True) -> Any:
-            pdf = mi.warp.square_to_uniform_sphere_pdf(wo)
-            return mi.Spectrum(pdf), pdf
 
     mi.register_phase("nonexp_recorder", Recorder)
     return mi.load_dict({"type": "nonexp_recorder"})
